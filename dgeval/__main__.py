@@ -1,0 +1,3 @@
+from dgeval.cli import app
+
+app(prog_name="dgeval")

@@ -1,0 +1,37 @@
+"""The command line. Only here do we print and exit; each command imports what it needs when it runs."""
+
+from __future__ import annotations
+
+from dgeval.determinism import set_thread_variables
+
+set_thread_variables()  # before numpy is imported anywhere
+
+import typer  # noqa: E402
+
+from dgeval.cli import config_show, inspect, replay, report, view  # noqa: E402
+
+app = typer.Typer(
+    name="dgeval",
+    help="Why did a dynamic grasp fail? Answers from the log alone.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+app.command("replay", epilog=replay.EXAMPLES)(replay.replay)
+app.command("report", epilog=report.EXAMPLES)(report.report)
+app.command("inspect", epilog=inspect.EXAMPLES)(inspect.inspect)
+app.command("view", epilog=view.EXAMPLES)(view.view)
+app.add_typer(config_show.app, name="config")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from dgeval import __version__
+
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def main(version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version.")) -> None:
+    """Exit codes: 0 done · 1 regression · 2 usage or unreadable input · 3 input damaged, the rest done · 4 internal error."""

@@ -1,0 +1,242 @@
+"""Every parameter, its default and its source. Unknown keys are errors that name the nearest key.
+
+Order of precedence: command line over file over default. The environment is never read.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from dgeval.errors import Place, UsageError
+
+Pose7 = tuple[float, float, float, float, float, float, float]
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class RolesConfig(Section):
+    """Topic per role; None means found by type and name."""
+
+    colour: str | None = None
+    depth: str | None = None
+    intrinsics: str | None = None
+    camera_pose: str | None = Field(None, description="a PoseStamped or Odometry topic instead of tf")
+    hand_pose: str | None = Field(None, description="a PoseStamped topic instead of tf or joints")
+    hand_joints: str | None = None
+    events: str | None = None
+
+
+class RoleClock(Section):
+    offset_ns: int = Field(0, description="added to every stamp of the role")
+
+
+class ClockConfig(Section):
+    colour: RoleClock = RoleClock()
+    depth: RoleClock = RoleClock()
+    camera_pose: RoleClock = RoleClock()
+    hand_pose: RoleClock = RoleClock()
+    hand_joints: RoleClock = RoleClock()
+
+
+class FramesConfig(Section):
+    """tf frame names; None means found."""
+
+    base: str | None = None
+    camera: str | None = Field(None, description="colour optical frame; default: frame_id of the colour images")
+    palm: str | None = None
+
+
+class CalibrationConfig(Section):
+    description: str | None = Field(None, description="URDF file; default: a /robot_description in the log")
+    mesh_dirs: tuple[str, ...] = ()
+    flange: str | None = Field(None, description="link that T_flange_camera refers to")
+    T_flange_camera: Pose7 | None = Field(None, description="hand-eye calibration, px py pz qx qy qz qw")
+    depth_scale: float | None = Field(None, gt=0, description="m per unit of integer depth; default 0.001")
+    intrinsics: tuple[float, float, float, float] | None = Field(None, description="fx fy cx cy where none is recorded")
+    static_mask: str | None = Field(None, description="image; depth is dropped where it is not black")
+
+
+class SyncConfig(Section):
+    tolerance_s: float | None = Field(None, gt=0, description="colour-depth; default: half the colour period")
+    jump_s: float = Field(5.0, gt=0, description="a forward jump of the stamps to count")
+    max_pose_gap_s: float = Field(0.5, gt=0, description="poses farther apart are not interpolated")
+    max_unmatched_share: float = Field(0.5, ge=0, le=1, description="of colour frames without depth, before exit code 3")
+
+
+class SelfFilterConfig(Section):
+    margin: float = Field(0.010, ge=0, description="m; depth this close to a hand link is dropped (DESIGN 4)")
+    radius_default: float = Field(0.012, gt=0, description="m; capsule radius where a link has no shape that can be read")
+
+
+class PlaneConfig(Section):
+    enabled: bool = True
+    hypotheses: int = Field(48, ge=1)
+    min_support: float = Field(0.35, gt=0, le=1, description="share of the surroundings that must lie in the plane")
+    tolerance_sigmas: float = Field(3.0, gt=0, description="half thickness in depth standard deviations")
+
+
+class TrackingConfig(Section):
+    method: Literal["model", "csrt"] = "model"
+    corners: int = Field(200, ge=8, description="image features followed on the target")
+    keyframe_angle: float = Field(0.20, gt=0, description="rad; a new keyframe when the view has turned by this much")
+    keyframe_scale: float = Field(1.25, gt=1, description="a new keyframe when the target's size has changed this much")
+    iterations: int = Field(12, ge=1)
+    align_points: int = Field(1000, ge=50, description="model points used in the alignment to depth")
+    min_visible: float = Field(0.35, gt=0, le=1, description="share of the target's box inside the image, else lost")
+    min_agree: float = Field(0.5, gt=0, le=1, description="share of model points with agreeing depth, else lost")
+    min_corners: int = Field(6, ge=3, description="followed features, else the image alone does not carry the track")
+    reacquire_s: float = Field(2.0, ge=0, description="how long after a loss the target is looked for where it should be")
+
+
+class ObservationConfig(Section):
+    c_z: float = Field(0.1, gt=0, description="m; allowed distance from the median depth (Table V, c_z)")
+    max_points: int = Field(1500, ge=50)
+    min_points: int = Field(60, ge=10, description="fewer points are no observation")
+
+
+class RegistrationConfig(Section):
+    method: Literal["small_gicp", "open3d", "kiss_icp"] = "small_gicp"
+    search_radius: float = Field(0.02, gt=0, description="m (PAPERS A4)")
+    max_iterations: int = Field(15, ge=1)
+    colour: bool = Field(True, description="refine with the tracker's image features (beyond the paper)")
+    c_a_f: float = Field(0.8, gt=0, lt=1, description="least gate fitness, strict (Table V, c_a,f)")
+    c_a_v: float = Field(4.0, gt=0, description="m/s (Table V, c_a,v)")
+    c_a_w: float = Field(4.0, gt=0, description="rad/s (Table V, c_a,omega)")
+    gate_distance: float = Field(0.005, gt=0, description="m; the gate counts matches within max(this, 2 sigma_z)")
+
+
+class FusionConfig(Section):
+    n_s: int = Field(5, ge=1, description="previous accepted observations (Table V, n_s)")
+    epsilon: float = Field(0.01, gt=0, description="m (Table V, epsilon)")
+    max_model_points: int = Field(4096, ge=100, description="N_max; a random subset is kept beyond it (PAPERS A7)")
+
+
+class EstimationConfig(Section):
+    sigma_acceleration: float = Field(0.3, gt=0, description="m/s^2 (PAPERS 7: 0.3 belt, 1.0 handover)")
+    sigma_position: float = Field(0.004, gt=0, description="m (PAPERS 7)")
+    loss_policy: Literal["constant_velocity", "zero"] = "constant_velocity"
+    null_after_s: float = Field(1.0, gt=0, description="without an accepted frame, feature and velocity become null")
+
+
+class GraspsConfig(Section):
+    source: Literal["recorded", "none"] = "recorded"
+
+
+class SelectionConfig(Section):
+    c_m_s: float = Field(1.0, description="Table V, c_m,s")
+    c_m_t: float = Field(-0.1, description="per m (Table V, c_m,t; distance always costs, PAPERS A1)")
+    c_m_r: float = Field(-0.2, description="per rad (Table V, c_m,r)")
+    literal_eq5: bool = Field(False, description="the signs of equation 5 as printed, which reward distance")
+    rotation_vector_difference: bool = Field(False, description="|r_G - r_R| instead of the geodesic angle (PAPERS A2)")
+
+
+class ServoConfig(Section):
+    gains: Literal["paper", "fast"] = Field("paper", description="paper: Table V; fast: c_d 0.2 and 0.5 (PAPERS A11)")
+    c_p_v: float = 1.0
+    c_d_v: float = 2.0
+    c_p_w: float = 2.5
+    c_d_w: float = 5.0
+    c_O: float = Field(0.2, gt=0, description="m (Table V)")
+    c_G: float = Field(0.05, gt=0, description="m (Table V)")
+    derivative_tau: float = Field(0.1, gt=0, description="s; low-pass of the derivative (PAPERS A11)")
+
+
+class ExecutionConfig(Section):
+    c_e: float = Field(0.7, description="execution threshold, strict (Table V)")
+
+
+class ScheduleConfig(Section):
+    """When a stage's result becomes usable after its image was taken, s."""
+
+    perception_latency_s: float = Field(0.0, ge=0)
+    grasps_latency_s: float = Field(0.0, ge=0)
+
+
+class ReviewConfig(Section):
+    jpeg_quality: int = Field(85, ge=1, le=100, description="only for colour that was not recorded as JPEG or PNG")
+    depth_every: int = Field(3, ge=1, description="a depth image in every n-th frame")
+    cloud_points: int = Field(1000, ge=1)
+
+
+class Config(Section):
+    pipeline: Literal["dynamic"] = "dynamic"
+    seed: int = Field(0, ge=0)
+    roles: RolesConfig = RolesConfig()
+    clock: ClockConfig = ClockConfig()
+    frames: FramesConfig = FramesConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
+    sync: SyncConfig = SyncConfig()
+    self_filter: SelfFilterConfig = SelfFilterConfig()
+    plane: PlaneConfig = PlaneConfig()
+    tracking: TrackingConfig = TrackingConfig()
+    observation: ObservationConfig = ObservationConfig()
+    registration: RegistrationConfig = RegistrationConfig()
+    fusion: FusionConfig = FusionConfig()
+    estimation: EstimationConfig = EstimationConfig()
+    grasps: GraspsConfig = GraspsConfig()
+    selection: SelectionConfig = SelectionConfig()
+    servo: ServoConfig = ServoConfig()
+    execution: ExecutionConfig = ExecutionConfig()
+    schedule: ScheduleConfig = ScheduleConfig()
+    review: ReviewConfig = ReviewConfig()
+
+
+def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) -> Config:
+    """A pipeline's name or TOML file, with `section.key=value` assignments on top. UsageError names the fault."""
+    values: dict[str, Any] = {}
+    if pipeline.endswith(".toml"):
+        values = read_toml(Path(pipeline))
+    elif pipeline != "dynamic":
+        raise UsageError(f"no pipeline {pipeline!r}", hint="built in: dynamic; or give a FILE.toml")
+    for assignment in assignments:
+        _assign(values, assignment)
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise UsageError("; ".join(_explain(e) for e in error.errors())) from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"can't be read ({error.strerror})", Place(str(path))) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"not TOML ({error})", Place(str(path))) from error
+
+
+def _assign(values: dict[str, Any], assignment: str) -> None:
+    key, sign, text = assignment.partition("=")
+    if not sign or not key:
+        raise UsageError(f"--set {assignment!r} is not section.key=value")
+    try:
+        value = tomllib.loads(f"x = {text}")["x"]
+    except tomllib.TOMLDecodeError:
+        value = text  # a bare word is text
+    *sections, last = key.strip().split(".")
+    node = values
+    for name in sections:
+        node = node.setdefault(name, {})
+        if not isinstance(node, dict):
+            raise UsageError(f"--set {assignment!r}: {name} is not a section")
+    node[last] = value
+
+
+def _explain(error: Any) -> str:
+    path = [str(p) for p in error["loc"]]
+    where = ".".join(path)
+    if error["type"] != "extra_forbidden":
+        return f"{where}: {error['msg']} (got {error['input']!r})"
+    model: type[BaseModel] = Config
+    for name in path[:-1]:
+        model = model.model_fields[name].annotation  # type: ignore[assignment]
+    near = difflib.get_close_matches(path[-1], model.model_fields, n=1)
+    hint = f", did you mean {'.'.join([*path[:-1], near[0]])}?" if near else f"; known: {', '.join(model.model_fields)}"
+    return f"unknown key {where}{hint}"

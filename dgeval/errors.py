@@ -1,0 +1,97 @@
+"""The errors that cross dgeval's boundaries, and the damage a recording may carry.
+
+Every message says what is wrong, where (topic, time or byte offset), what to do, and the file last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+EXIT_OK = 0
+EXIT_USAGE = 2
+EXIT_DATA_LOST = 3
+EXIT_INTERNAL = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where in an input something is wrong. Unknown parts are None."""
+
+    file: str
+    topic: str | None = None
+    t_ns: int | None = None
+    offset: int | None = None
+
+    def __str__(self) -> str:
+        parts = []
+        if self.topic is not None:
+            parts.append(f"topic {self.topic}")
+        if self.t_ns is not None:
+            parts.append(f"t = {self.t_ns} ns")
+        if self.offset is not None:
+            parts.append(f"byte {self.offset}")
+        return ", ".join([*parts, f"file {self.file}"])
+
+
+class DgevalError(Exception):
+    """Base of everything dgeval raises on purpose. `exit_code` is what the command line returns."""
+
+    exit_code = EXIT_INTERNAL
+
+    def __init__(self, what: str, place: Place | None = None, hint: str | None = None) -> None:
+        self.what = what
+        self.place = place
+        self.hint = hint
+        text = what
+        if hint:
+            text += f"; {hint}"
+        if place is not None:
+            text += f" [{place}]"
+        super().__init__(text)
+
+
+class UsageError(DgevalError):
+    """The call, the configuration or the manifest is wrong."""
+
+    exit_code = EXIT_USAGE
+
+
+class UnreadableError(DgevalError):
+    """An input from which nothing can be used."""
+
+    exit_code = EXIT_USAGE
+
+
+class UndecodableError(DgevalError):
+    """One message whose bytes don't make a value of its type. Costs that message, not the recording."""
+
+    exit_code = EXIT_DATA_LOST
+
+
+class MissingDependencyError(DgevalError):
+    """A library that the chosen option needs can't be imported."""
+
+    exit_code = EXIT_USAGE
+
+
+class NotDeterministicError(DgevalError):
+    """Two replays of the same recording, configuration and version differ."""
+
+    exit_code = EXIT_INTERNAL
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Data lost from an input: what happened, where, and from which log time on nothing was used."""
+
+    what: str
+    place: Place
+    lost_from_ns: int | None = None
+    lost_to_ns: int | None = None
+
+    def __str__(self) -> str:
+        text = self.what
+        if self.lost_from_ns is not None:
+            to = "the end" if self.lost_to_ns is None else f"{self.lost_to_ns} ns"
+            text += f"; lost from {self.lost_from_ns} ns to {to}"
+        return f"{text} [{self.place}]"

@@ -1,0 +1,279 @@
+"""MCAP of any profile, with every checksum on.
+
+Two ways through the file. With an intact summary the chunks are taken in the order of their start times and merged, so
+that memory holds the chunks that overlap and no more. Without one the file is read from the front until it ends or
+breaks.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, NoReturn
+
+import mcap.exceptions
+import mcap.records
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+
+from dgeval.errors import Damage, Place, UndecodableError, UnreadableError
+from dgeval.recording.containers import MCAP_MAGIC, RawMessage, Topic, describe
+from dgeval.recording.encodings import DECODERS
+
+FOOTER_LENGTH = 1 + 8 + 20
+MAX_CHUNK_BYTES = 1 << 30
+
+# What the mcap, zstd and lz4 libraries raise on broken bytes (measured on the damaged corpus of the tests).
+BROKEN = (
+    mcap.exceptions.McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, KeyError,
+    IndexError, MemoryError, OverflowError, EOFError, OSError,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    start_ns: int
+    end_ns: int
+    offset: int
+    length: int
+
+
+class McapContainer:
+    """An MCAP file. `checksums` says what in it is protected."""
+
+    kind = "MCAP"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.damage: list[Damage] = []
+        self.topics: dict[str, Topic] = {}
+        self.profile = ""
+        self._size = path.stat().st_size
+        self._schemas: dict[int, mcap.records.Schema] = {}
+        self._channels: dict[int, mcap.records.Channel] = {}
+        self._chunks: list[_Chunk] | None = None
+        self._unchunked = False
+        self._zero_crcs = False
+        try:
+            counts = self._read_summary()
+        except BROKEN as error:
+            what = f"the summary at the end can't be used ({describe(error)}), so the file is read from the front"
+            self.damage.append(Damage(what, self._place(offset=self._size)))
+            self._schemas, self._channels, self._chunks, counts = {}, {}, None, {}
+        if self._chunks is None:
+            counts = self._scan_front(counts)
+        for channel in self._channels.values():
+            self._add_topic(channel, counts)
+
+    def _place(self, offset: int | None = None, topic: str | None = None, t_ns: int | None = None) -> Place:
+        return Place(str(self.path), topic, t_ns, offset)
+
+    @property
+    def checksums(self) -> str:
+        if self._unchunked or self._zero_crcs:
+            return "not everywhere: some messages stand outside chunks or in chunks without a CRC"
+        return "CRC-32 per chunk, checked"
+
+    def _read_summary(self) -> dict[int, int]:
+        """Fill schemas, channels and chunk list from the summary; message counts per channel id."""
+        with self.path.open("rb") as stream:
+            header = next(iter(StreamReader(stream, record_size_limit=self._size).records))
+            if isinstance(header, mcap.records.Header):
+                self.profile = header.profile
+            stream.seek(-(FOOTER_LENGTH + len(MCAP_MAGIC)), 2)
+            footer_start = stream.tell()
+            tail = stream.read()
+            if not tail.endswith(MCAP_MAGIC):
+                raise mcap.exceptions.McapError("the file does not end with the MCAP magic: it is cut or still written")
+            if tail[0] != Opcode.FOOTER:
+                raise mcap.exceptions.McapError("no footer record before the closing magic")
+            summary_start, _, summary_crc = struct.unpack_from("<QQI", tail, 9)
+            if summary_start == 0:
+                return {}
+            if not 0 < summary_start <= footer_start:
+                raise mcap.exceptions.McapError(f"summary offset {summary_start} lies outside the file")
+            stream.seek(summary_start)
+            body = stream.read(footer_start - summary_start)
+            if summary_crc and zlib.crc32(tail[: FOOTER_LENGTH - 4], zlib.crc32(body)) != summary_crc:
+                raise mcap.exceptions.McapError("the summary's CRC does not match")
+            stream.seek(summary_start)
+            chunks: list[_Chunk] = []
+            counts: dict[int, int] = {}
+            total: int | None = None
+            for record in StreamReader(stream, skip_magic=True, record_size_limit=self._size).records:
+                if isinstance(record, mcap.records.Schema):
+                    self._schemas[record.id] = record
+                elif isinstance(record, mcap.records.Channel):
+                    self._channels[record.id] = record
+                elif isinstance(record, mcap.records.ChunkIndex):
+                    chunks.append(
+                        _Chunk(
+                            record.message_start_time,
+                            record.message_end_time,
+                            record.chunk_start_offset,
+                            record.chunk_length,
+                        )
+                    )
+                elif isinstance(record, mcap.records.Statistics):
+                    counts = dict(record.channel_message_counts)
+                    total = record.message_count
+                    if record.chunk_count != len(chunks) and chunks:
+                        raise mcap.exceptions.McapError("the statistics and the chunk index disagree")
+        if total is not None and counts and sum(counts.values()) != total:
+            raise mcap.exceptions.McapError("the statistics contradict themselves")
+        if total is not None and not counts:
+            counts = dict.fromkeys(self._channels, 0) if total == 0 else {}
+        elif total is not None:
+            counts = {i: counts.get(i, 0) for i in self._channels}
+        if chunks and self._channels:
+            self._chunks = sorted(chunks, key=lambda c: (c.start_ns, c.offset))
+        return counts
+
+    def _scan_front(self, counts: dict[int, int]) -> dict[int, int]:
+        """No usable index: learn schemas and channels by reading once, and check what can be checked on the way."""
+        for _ in self._sequential(None):
+            pass
+        return counts
+
+    def _add_topic(self, channel: mcap.records.Channel, counts: dict[int, int]) -> None:
+        schema = self._schemas.get(channel.schema_id)
+        name = schema.name if schema else ""
+        if "/" in name and "/msg/" not in name:
+            name = name.replace("/", "/msg/", 1)
+        key = (channel.message_encoding, schema.encoding if schema else "")
+        make = DECODERS.get(key)
+        decode: Callable[[bytes], Any] | None = None
+        if make is not None and schema is not None:
+            try:
+                decode = make(name, schema.data)
+            except Exception as error:
+                why = f"its definition can't be parsed ({describe(error)})"
+            else:
+                why = ""
+        else:
+            why = f"message encoding {key[0]!r} with schema encoding {key[1]!r} is not supported"
+        count = counts.get(channel.id) if counts else None
+        before = self.topics.get(channel.topic)
+        if before is not None:
+            # Some writers open one topic twice; both carry the same type, and the counts add up.
+            count = None if count is None or before.count is None else count + before.count
+        self.topics[channel.topic] = Topic(
+            channel.topic, name or "?", channel.message_encoding, count, decode or _refuse(why, self._place(topic=channel.topic))
+        )
+
+    def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]:
+        """Messages of the topics; by index where the summary is intact, else front to back."""
+        if self._chunks is None:
+            yield from self._sequential(topics)
+        else:
+            yield from self._indexed(topics, self._chunks)
+
+    def _indexed(self, topics: frozenset[str], chunks: list[_Chunk]) -> Iterator[RawMessage]:
+        pending: list[RawMessage] = []
+        with self.path.open("rb") as stream:
+            for i, chunk in enumerate(chunks):
+                try:
+                    new = self._read_chunk(stream, chunk.offset, topics)
+                except BROKEN as error:
+                    what = f"a chunk is damaged ({describe(error)})"
+                    yield from sorted((m for m in pending if m.log_ns < chunk.start_ns), key=lambda m: m.log_ns)
+                    self._fault(Damage(what, self._place(chunk.offset), chunk.start_ns))
+                    return
+                pending = sorted([*pending, *new], key=lambda m: m.log_ns)  # stable: ties stay in file order
+                if i + 1 < len(chunks):
+                    limit = chunks[i + 1].start_ns
+                    split = next((k for k, m in enumerate(pending) if m.log_ns >= limit), len(pending))
+                    yield from pending[:split]
+                    pending = pending[split:]
+            yield from pending
+
+    def _fault(self, damage: Damage) -> None:
+        if damage not in self.damage:
+            self.damage.append(damage)
+
+    def _read_chunk(self, stream: IO[bytes], offset: int, topics: frozenset[str] | None) -> list[RawMessage]:
+        stream.seek(offset)
+        opcode, length = struct.unpack("<BQ", stream.read(9))
+        if opcode != Opcode.CHUNK or offset + 9 + length > self._size:
+            raise mcap.exceptions.McapError("the index points to something that is not a chunk inside the file")
+        return self._open_chunk(mcap.records.Chunk.read(ReadDataStream(stream)), offset, topics)
+
+    def _open_chunk(self, chunk: mcap.records.Chunk, offset: int, topics: frozenset[str] | None) -> list[RawMessage]:
+        if chunk.uncompressed_size > MAX_CHUNK_BYTES:
+            raise mcap.exceptions.McapError(f"a chunk claims {chunk.uncompressed_size} bytes, over dgeval's limit of 1 GiB")
+        if chunk.compression not in ("", "lz4", "zstd"):
+            raise mcap.exceptions.McapError(f"unknown compression {chunk.compression!r}")
+        if chunk.uncompressed_crc == 0:
+            self._zero_crcs = True
+        out: list[RawMessage] = []
+        for record in breakup_chunk(chunk, validate_crc=True):
+            message = self._take(record, offset, topics)
+            if message is not None:
+                out.append(message)
+        return out
+
+    def _take(self, record: Any, offset: int, topics: frozenset[str] | None) -> RawMessage | None:
+        if isinstance(record, mcap.records.Schema):
+            self._agree(self._schemas.setdefault(record.id, record), record)
+        elif isinstance(record, mcap.records.Channel):
+            self._agree(self._channels.setdefault(record.id, record), record)
+        elif isinstance(record, mcap.records.Message):
+            topic = self._channels[record.channel_id].topic
+            if topics is not None and topic in topics:
+                return RawMessage(topic, record.log_time, record.data, offset)
+        return None
+
+    @staticmethod
+    def _agree(known: Any, seen: Any) -> None:
+        if known != seen:
+            raise mcap.exceptions.McapError(f"the summary and the data disagree on {type(seen).__name__.lower()} {seen.id}")
+
+    def _sequential(self, topics: frozenset[str] | None) -> Iterator[RawMessage]:
+        """Front to back; stops with a Damage at the first fault. Chunks are sorted inside, not across."""
+        last_ns: int | None = None
+        offset = 0
+        with self.path.open("rb") as stream:
+            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=self._size)
+            try:
+                for record in reader.records:
+                    if isinstance(record, mcap.records.Chunk):
+                        for message in sorted(self._open_chunk(record, offset, topics), key=lambda m: m.log_ns):
+                            last_ns = message.log_ns
+                            yield message
+                    elif isinstance(record, mcap.records.Header):
+                        self.profile = record.profile
+                    elif isinstance(record, mcap.records.DataEnd):
+                        if self._unchunked and record.data_section_crc == 0:
+                            self._zero_crcs = True
+                        return
+                    else:
+                        message_or_none = self._take(record, offset, topics)
+                        if isinstance(record, mcap.records.Message):
+                            self._unchunked = True
+                        if message_or_none is not None:
+                            last_ns = message_or_none.log_ns
+                            yield message_or_none
+                    offset = stream.tell()
+            except CRCValidationError as error:
+                if isinstance(error.record, mcap.records.DataEnd):
+                    self._refuse_unchunked()
+                self._fault(Damage(f"a chunk is damaged ({describe(error)})", self._place(offset), last_ns))
+            except BROKEN as error:
+                what = f"the file breaks off or is damaged ({describe(error)})"
+                self._fault(Damage(what, self._place(offset), last_ns))
+
+    def _refuse_unchunked(self) -> NoReturn:
+        what = "the CRC over the data section does not match, and without chunks nothing says where"
+        raise UnreadableError(what, self._place(), "record again or use `mcap recover`")
+
+
+def _refuse(why: str, place: Place) -> Callable[[bytes], Any]:
+    def decode(_: bytes) -> Any:
+        raise UndecodableError(f"can't decode: {why}", place)
+
+    return decode

@@ -1,0 +1,157 @@
+"""One face for every container: topics, and messages in log-time order. The error boundary of the recording layer.
+
+Nothing but dgeval's errors passes out of here. What can be read before a fault is an exact prefix; the fault is kept in
+`Container.damage`, and the caller decides what it costs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from dgeval.errors import Damage, Place, UndecodableError, UnreadableError
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+BAG_MAGIC = b"#ROSBAG V"
+SQLITE_MAGIC = b"SQLite format 3\x00"
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic of a recording. `count` is what the file's own statistics say, None where it has none."""
+
+    name: str
+    type: str
+    encoding: str
+    count: int | None
+    decode: Callable[[bytes], Any]
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    """One message as stored: topic, log time in ns, its undecoded bytes, byte offset of its chunk or None."""
+
+    topic: str
+    log_ns: int
+    data: bytes
+    offset: int | None = None
+
+
+class Container(Protocol):
+    """What a recording's file has to offer. `messages` may be called any number of times."""
+
+    path: Path
+    kind: str
+    checksums: str
+    topics: dict[str, Topic]
+    damage: list[Damage]
+
+    def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]: ...
+
+
+@dataclass
+class Opened:
+    """A container with the checks that hold for all of them: counts against statistics, decoding with a place."""
+
+    container: Container
+    path: Path
+    counts: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        return self.container.topics
+
+    @property
+    def damage(self) -> list[Damage]:
+        return self.container.damage
+
+    def messages(self, topics: frozenset[str] | None = None) -> Iterator[RawMessage]:
+        """Messages of the topics (all if None) in log-time order, ties in file order.
+
+        A full pass that ends without a fault is checked against the file's statistics.
+        """
+        wanted = frozenset(self.topics) if topics is None else topics
+        counts = dict.fromkeys(sorted(wanted), 0)
+        faults_before = len(self.damage)
+        last_ns: int | None = None
+        for message in self.container.messages(wanted):
+            counts[message.topic] += 1
+            last_ns = message.log_ns
+            yield message
+        self.counts.update(counts)
+        if len(self.damage) > faults_before or self.damage:
+            return
+        for name, count in counts.items():
+            said = self.topics[name].count
+            if said is not None and said != count:
+                what = f"the file's statistics promise {said} messages, {count} were read"
+                self.damage.append(Damage(what, Place(str(self.path), name), last_ns))
+
+    def decode(self, message: RawMessage) -> Any:
+        """The message as an object with the fields of its type; UndecodableError names topic and time."""
+        try:
+            return self.topics[message.topic].decode(message.data)
+        except UndecodableError:
+            raise
+        except Exception as error:
+            what = f"can't decode a {self.topics[message.topic].type} ({describe(error)})"
+            raise UndecodableError(what, Place(str(self.path), message.topic, message.log_ns, message.offset)) from error
+
+
+def open_container(path: Path) -> Opened:
+    """Open a recording by its content: MCAP, ROS 1 bag, ROS 2 folder, bare .db3. UnreadableError says why not."""
+    from dgeval.recording.container_mcap import McapContainer
+    from dgeval.recording.container_rosbags import RosbagsContainer
+
+    place = Place(str(path))
+    try:
+        if not path.exists():
+            raise UnreadableError("no such file or folder", place)
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3"))
+            if len(inside) == 1 and inside[0].suffix == ".mcap":
+                return Opened(McapContainer(inside[0]), path)
+            if not inside:
+                raise UnreadableError("a folder without a .mcap or .db3 file is not a ROS 2 recording", place)
+            if any(p.suffix == ".mcap" for p in inside):
+                hint = "give the parts as a manifest"
+                raise UnreadableError(f"{len(inside)} recordings in one folder", place, hint)
+            return Opened(RosbagsContainer(path), path)
+        with path.open("rb") as stream:
+            head = stream.read(16)
+        if not head:
+            raise UnreadableError("the file is empty", place)
+        if head.startswith(MCAP_MAGIC):
+            return Opened(McapContainer(path), path)
+        if head.startswith(BAG_MAGIC) or head == SQLITE_MAGIC:
+            return Opened(RosbagsContainer(path), path)
+    except OSError as error:
+        raise UnreadableError(f"can't be opened ({error.strerror})", place) from error
+    hint = None
+    if head.startswith(b"version https://"):
+        hint = "this is a git-LFS pointer, not the recording: run `git lfs pull`"
+    elif head.lstrip()[:1] == b"<":
+        hint = "this is a web page, not the recording: download it again"
+    raise UnreadableError("neither MCAP, ROS 1 bag nor ROS 2 SQLite by its first bytes", place, hint)
+
+
+def describe(error: BaseException) -> str:
+    """A foreign error in one line: its class, and its text where it has one."""
+    text = " ".join(str(error).split())[:160]
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, or of a folder's recording files in name order (each by name and content)."""
+    files = [path] if path.is_file() else sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3", ".yaml"))
+    digest = hashlib.sha256()
+    for file in files:
+        if path.is_dir():
+            digest.update(file.name.encode() + b"\0")
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,176 @@
+"""A robot from its URDF: joint edges for the tf tree, and the hand's shapes for the self-filter."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dgeval.errors import Place, UsageError
+from dgeval.geometry import Array
+from dgeval.recording.containers import describe
+
+if TYPE_CHECKING:
+    import yourdfpy
+
+
+@dataclass(frozen=True, slots=True)
+class LinkShape:
+    """One solid of a link. `size`: box half lengths; capsule and cylinder (radius, half length along z); sphere (radius,).
+
+    `hull` holds the planes of a mesh's convex hull, rows n_x n_y n_z d with n·p + d <= 0 inside.
+    """
+
+    link: str
+    kind: Literal["box", "capsule", "cylinder", "sphere", "hull"]
+    T_link_shape: Array
+    size: tuple[float, ...] = ()
+    hull: Array | None = None
+    bound: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A URDF joint: T_parent_child = origin · motion(q · multiplier + offset of the joint it follows)."""
+
+    name: str
+    parent: str
+    child: str
+    kind: Literal["revolute", "prismatic", "fixed"]
+    origin: Array
+    axis: Array
+    follows: str
+    multiplier: float
+    offset: float
+
+    def at(self, q: float) -> Array:
+        """T_parent_child (4, 4) at joint position q, rad or m, of the joint it follows."""
+        T = np.eye(4)
+        value = self.multiplier * q + self.offset
+        if self.kind == "revolute":
+            T[:3, :3] = Rotation.from_rotvec(self.axis * value).as_matrix()
+        elif self.kind == "prismatic":
+            T[:3, 3] = self.axis * value
+        return np.asarray(self.origin @ T)
+
+
+@dataclass(frozen=True)
+class Description:
+    """Joints by child link, shapes by link, and what had to be made up."""
+
+    joints: dict[str, Joint]
+    shapes: dict[str, list[LinkShape]]
+    notes: list[str] = field(default_factory=list)
+
+    def below(self, link: str) -> list[str]:
+        """The link and all links that hang from it, in name order."""
+        out = {link}
+        while True:
+            more = {j.child for j in self.joints.values() if j.parent in out} - out
+            if not more:
+                return sorted(out)
+            out |= more
+
+
+def load_description(text: str, source: str, mesh_dirs: tuple[str, ...], radius: float) -> Description:
+    """Parse URDF text. Links whose meshes are missing get capsules from joint to joint of the given radius, m."""
+    import yourdfpy
+
+    try:
+        robot = yourdfpy.URDF.load(io.BytesIO(text.encode()), build_scene_graph=False, load_meshes=False)
+    except Exception as error:
+        raise UsageError(f"the robot description is not a URDF ({describe(error)})", Place(source)) from error
+    joints: dict[str, Joint] = {}
+    notes: list[str] = []
+    for joint in robot.robot.joints:
+        kind: Literal["revolute", "prismatic", "fixed"] = "fixed"
+        if joint.type in ("revolute", "continuous"):
+            kind = "revolute"
+        elif joint.type == "prismatic":
+            kind = "prismatic"
+        elif joint.type != "fixed":
+            notes.append(f"joint {joint.name} of type {joint.type} is taken as fixed")
+        axis = np.asarray(joint.axis if joint.axis is not None else [1, 0, 0], dtype=np.float64)
+        axis = axis / (np.linalg.norm(axis) or 1.0)
+        mimic = joint.mimic
+        joints[joint.child] = Joint(
+            joint.name,
+            joint.parent,
+            joint.child,
+            kind,
+            np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=np.float64),
+            axis,
+            mimic.joint if mimic else joint.name,
+            (mimic.multiplier if mimic and mimic.multiplier is not None else 1.0),
+            (mimic.offset if mimic and mimic.offset is not None else 0.0),
+        )
+    shapes = {}
+    made_up = []
+    for link in robot.robot.links:
+        found, missing = _shapes_of(link, mesh_dirs)
+        if missing and not found:
+            found = _capsules(link.name, joints, radius)
+            made_up.append(link.name)
+        shapes[link.name] = found
+    if made_up:
+        notes.append(f"meshes not found, capsules from joint origins stand in: {', '.join(sorted(made_up))}")
+    return Description(joints, shapes, notes)
+
+
+def _shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[LinkShape], bool]:
+    out: list[LinkShape] = []
+    missing = False
+    for element in link.collisions or link.visuals:
+        T = np.eye(4) if element.origin is None else np.asarray(element.origin, dtype=np.float64)
+        g = element.geometry
+        if g.box is not None:
+            half = tuple(float(s) / 2 for s in g.box.size)
+            out.append(LinkShape(link.name, "box", T, half, bound=float(np.linalg.norm(half))))
+        elif g.sphere is not None:
+            out.append(LinkShape(link.name, "sphere", T, (float(g.sphere.radius),), bound=float(g.sphere.radius)))
+        elif g.cylinder is not None:
+            r, h = float(g.cylinder.radius), float(g.cylinder.length) / 2
+            out.append(LinkShape(link.name, "cylinder", T, (r, h), bound=float(np.hypot(r, h))))
+        elif g.mesh is not None:
+            hull = _mesh_hull(g.mesh, mesh_dirs)
+            if hull is None:
+                missing = True
+            else:
+                out.append(LinkShape(link.name, "hull", T, hull=hull[0], bound=hull[1]))
+    return out, missing
+
+
+def _mesh_hull(mesh: Any, mesh_dirs: tuple[str, ...]) -> tuple[Array, float] | None:
+    """Planes (n, 4) of a mesh's convex hull and its largest distance from the origin; None if the file is not there."""
+    import trimesh
+    from scipy.spatial import ConvexHull
+
+    name = mesh.filename.removeprefix("file://")
+    parts = Path(name.removeprefix("package://")).parts
+    for folder in (*mesh_dirs, ""):
+        for i in range(len(parts)):
+            path = Path(folder).joinpath(*parts[i:]) if folder else Path(name)
+            if path.is_file():
+                loaded: Any = trimesh.load(path, force="mesh")
+                vertices = np.asarray(loaded.vertices) * (np.asarray(mesh.scale) if mesh.scale is not None else 1.0)
+                return ConvexHull(vertices).equations, float(np.linalg.norm(vertices, axis=1).max())
+    return None
+
+
+def _capsules(link: str, joints: dict[str, Joint], radius: float) -> list[LinkShape]:
+    """A capsule from the link's origin to the origin of each joint that hangs from it; a sphere at the end of a chain."""
+    out = []
+    for joint in sorted((j for j in joints.values() if j.parent == link), key=lambda j: j.name):
+        end = joint.origin[:3, 3]
+        length = float(np.linalg.norm(end))
+        if length < 1e-6:
+            continue
+        T = np.eye(4)
+        T[:3, :3] = Rotation.align_vectors([end / length], [[0.0, 0.0, 1.0]])[0].as_matrix()
+        T[:3, 3] = end / 2
+        out.append(LinkShape(link, "capsule", T, (radius, length / 2), bound=radius + length / 2))
+    return out or [LinkShape(link, "sphere", np.eye(4), (radius,), bound=radius)]

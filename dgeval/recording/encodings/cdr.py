@@ -1,0 +1,16 @@
+"""ROS 2 messages (CDR) with their definition as ROS .msg text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+
+def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
+    """A function that turns the bytes of one message into an object with its fields."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(schema.decode(), type_name))
+    return partial(store.deserialize_cdr, typename=type_name)

@@ -1,0 +1,33 @@
+"""sensor_msgs/CompressedImage with JPEG or PNG inside, colour or 16-bit depth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dgeval.recording.image_codecs.pixels import Pixels
+
+JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+PNG_START = b"\x89PNG\r\n\x1a\n"
+
+
+def accepts(message: Any) -> bool:
+    return hasattr(message, "format") and "compresseddepth" not in message.format.lower()
+
+
+def decode(message: Any) -> Pixels:
+    """OpenCV gives blue first; 16-bit single-channel images are depth. ValueError when the bytes are not an image."""
+    data = bytes(memoryview(message.data))
+    if data.startswith(JPEG_START):
+        if JPEG_END not in data[-64:]:
+            raise ValueError("the JPEG is cut: no end marker")
+    elif not data.startswith(PNG_START):
+        raise ValueError(f"format {message.format!r}: the bytes are neither JPEG nor PNG")
+    array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if array is None:
+        raise ValueError(f"format {message.format!r}: the image can't be decoded")
+    if array.ndim == 2:
+        return Pixels(array, "16UC1" if array.dtype == np.uint16 else "mono8")
+    return Pixels(array, "bgra8" if array.shape[2] == 4 else "bgr8")

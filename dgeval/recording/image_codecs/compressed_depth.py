@@ -1,0 +1,41 @@
+"""compressedDepth of ROS image_transport: 12 bytes of configuration, then a PNG (16UC1, or 32FC1 as inverse depth).
+
+The format text varies between ROS versions ("16UC1; compressedDepth", "… png", "… rvl"), so the PNG is found by its
+signature. RVL is a further codec.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dgeval.recording.image_codecs.compressed import PNG_START
+from dgeval.recording.image_codecs.pixels import Pixels
+
+HEADER_BYTES = 12
+
+
+def accepts(message: Any) -> bool:
+    return hasattr(message, "format") and "compresseddepth" in message.format.lower()
+
+
+def decode(message: Any) -> Pixels:
+    """16UC1 as stored; 32FC1 from the quantised inverse depth, z = a / (code - b), code 0 = none."""
+    data = bytes(memoryview(message.data))
+    start = data.find(PNG_START, 0, 64)
+    if start < 0:
+        raise ValueError(f"format {message.format!r}: no PNG inside (RVL is not supported yet)")
+    codes = cv2.imdecode(np.frombuffer(data, np.uint8, offset=start), cv2.IMREAD_UNCHANGED)
+    if codes is None or codes.ndim != 2 or codes.dtype != np.uint16:
+        raise ValueError(f"format {message.format!r}: the PNG inside is cut or not 16 bit")
+    if not message.format.strip().startswith("32FC1"):
+        return Pixels(codes, "16UC1")
+    if start < HEADER_BYTES:
+        raise ValueError(f"format {message.format!r}: the configuration header is missing")
+    a, b = struct.unpack_from("<ff", data, 4)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        metres = np.where(codes > 0, a / (codes.astype(np.float32) - b), 0.0)
+    return Pixels(metres.astype(np.float32), "32FC1")

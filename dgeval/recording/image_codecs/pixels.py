@@ -1,0 +1,16 @@
+"""What an image codec returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Pixels:
+    """Decoded pixels (H, W) or (H, W, C) and what they are, in the words of sensor_msgs (rgb8, 16UC1, …)."""
+
+    array: NDArray[Any]
+    encoding: str

@@ -1,0 +1,37 @@
+"""sensor_msgs/Image: any step, either endianness."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dgeval.recording.image_codecs.pixels import Pixels
+
+LAYOUTS = {
+    "rgb8": (np.uint8, 3), "bgr8": (np.uint8, 3), "rgba8": (np.uint8, 4), "bgra8": (np.uint8, 4), "mono8": (np.uint8, 1),
+    "8UC1": (np.uint8, 1), "8UC3": (np.uint8, 3), "16UC1": (np.uint16, 1), "mono16": (np.uint16, 1),
+    "Z16": (np.uint16, 1), "32FC1": (np.float32, 1),
+}  # fmt: skip
+
+
+def accepts(message: Any) -> bool:
+    return hasattr(message, "encoding") and hasattr(message, "step")
+
+
+def decode(message: Any) -> Pixels:
+    """Raises ValueError for an unknown encoding or a size that contradicts the header."""
+    if message.encoding not in LAYOUTS:
+        raise ValueError(f"image encoding {message.encoding!r} is not one of {', '.join(LAYOUTS)}")
+    dtype, channels = LAYOUTS[message.encoding]
+    item = np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<")
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    row = width * channels * item.itemsize
+    data = np.frombuffer(memoryview(message.data), dtype=np.uint8)
+    if height <= 0 or width <= 0 or step < row or len(data) < step * (height - 1) + row:
+        raise ValueError(f"{len(data)} bytes are not {width}x{height} {message.encoding} with step {step}")
+    if len(data) < step * height:  # the padding of the last row may be missing
+        data = np.concatenate([data, np.zeros(step * height - len(data), np.uint8)])
+    rows = data[: step * height].reshape(height, step)[:, :row]
+    array = np.ascontiguousarray(rows).view(item).reshape(height, width, channels).astype(dtype, copy=False)
+    return Pixels(array[:, :, 0] if channels == 1 else array, message.encoding)

@@ -1,0 +1,51 @@
+"""Image messages to what the stages see: colour as RGB, depth in metres."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.recording.image_codecs import CODECS
+from dgeval.recording.image_codecs.pixels import Pixels
+
+TO_RGB = {
+    "bgr8": cv2.COLOR_BGR2RGB, "8UC3": cv2.COLOR_BGR2RGB, "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB,
+    "mono8": cv2.COLOR_GRAY2RGB, "8UC1": cv2.COLOR_GRAY2RGB,
+}  # fmt: skip
+DEPTH_ENCODINGS = frozenset({"16UC1", "mono16", "Z16", "32FC1"})
+
+
+def decode_image(message: Any) -> Pixels:
+    """Pixels of any supported image message; ValueError names what is wrong."""
+    for codec in CODECS:
+        if codec.accepts(message):
+            return codec.decode(message)
+    raise ValueError("not an image message")
+
+
+def colour_from(pixels: Pixels) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 RGB; ValueError for encodings that are not colour."""
+    if pixels.encoding == "rgb8":
+        return pixels.array
+    if pixels.encoding not in TO_RGB:
+        raise ValueError(f"{pixels.encoding} is not a colour image")
+    return np.asarray(cv2.cvtColor(pixels.array, TO_RGB[pixels.encoding]), dtype=np.uint8)
+
+
+def depth_from(pixels: Pixels, scale: float | None) -> NDArray[np.float32]:
+    """(H, W) float32 m, 0 where there is no reading (0, NaN, infinite, negative, 65535).
+
+    `scale` is metres per unit; None means the ROS convention, millimetres in integers and metres in floats.
+    """
+    if pixels.encoding not in DEPTH_ENCODINGS:
+        raise ValueError(f"{pixels.encoding} is not a depth image")
+    if pixels.array.dtype == np.uint16:
+        depth = pixels.array.astype(np.float32) * np.float32(0.001 if scale is None else scale)
+        depth[pixels.array == np.iinfo(np.uint16).max] = 0.0
+        return depth
+    depth = pixels.array.astype(np.float32) * np.float32(1.0 if scale is None else scale)
+    depth[~(np.isfinite(depth) & (depth > 0))] = 0.0
+    return depth

@@ -1,0 +1,144 @@
+"""What a recording holds, what is wrong with it, and which questions it can answer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgeval.config import Config
+from dgeval.errors import DgevalError
+from dgeval.recording.containers import open_container, sha256_of
+from dgeval.recording.robot import RobotStates, robot_states
+from dgeval.recording.roles import Roles, find_roles
+from dgeval.recording.scan import Scan, scan
+from dgeval.recording.synchronise import clean_stamps, pair, tolerance_ns
+
+
+def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
+    """A JSON-like summary: file, damage, topics, roles, timing, robot, trials, answers. UnreadableError, UsageError."""
+    opened = open_container(path)
+    found = scan(opened, config.roles.events)
+    roles = find_roles(found, config.roles)
+    robot: RobotStates | None = None
+    robot_error = None
+    try:
+        robot = robot_states(found, roles, config)
+    except DgevalError as error:
+        robot_error = str(error)
+    files = [path] if path.is_file() else [p for p in path.iterdir() if p.is_file()]
+    out: dict[str, Any] = {
+        "file": str(path),
+        "kind": opened.container.kind,
+        "bytes": sum(p.stat().st_size for p in files),
+        "sha256": sha256_of(path),
+        "checksums": opened.container.checksums,
+        "damage": [str(d) for d in opened.damage],
+        "topics": [_topic(found, name) for name in sorted(opened.topics)],
+        "roles": _roles(found, roles, robot),
+        "timing": _timing(found, roles, config),
+        "events": [{"t_ns": e.t_ns, "event": e.kind, **e.fields} for e in found.events],
+        "notes": ([] if robot is None else robot.notes) + ([robot_error] if robot_error else []),
+    }
+    out["answers"] = _answers(out, found, roles, robot)
+    return out
+
+
+def _topic(found: Scan, name: str) -> dict[str, Any]:
+    topic = found.opened.topics[name]
+    header, log = found.times[name].arrays() if name in found.times else (np.zeros(0, np.int64),) * 2
+    out: dict[str, Any] = {"name": name, "type": topic.type, "count": len(log)}
+    if len(log) > 1:
+        gaps = np.diff(log) * 1e-9
+        span = float(log[-1] - log[0]) * 1e-9
+        out.update(rate_hz=round((len(log) - 1) / span, 3) if span > 0 else None, largest_gap_s=round(float(gaps.max()), 4))
+        if len(found.times[name].header_ns) == len(log):
+            # recorder time less header time, straight line through it: offset, drift, and what is left as jitter
+            late = (log - header) * 1e-9
+            x = (log - log[0]) * 1e-9
+            slope, offset = np.polyfit(x, late - late[0], 1) if span > 0 else (0.0, 0.0)
+            out.update(
+                recorder_delay_s=round(float(offset + late[0]), 6),
+                drift_ppm=round(float(slope) * 1e6, 1),
+                jitter_s=round(float(np.std(late - late[0] - offset - slope * x)), 6),
+            )
+    head = found.images.get(name)
+    if head:
+        out.update(image=f"{head.width}x{head.height} {head.encoding}", frame_id=head.frame_id, stated=head.format)
+    if found.undecodable.get(name):
+        out["undecodable"] = found.undecodable[name]
+    return out
+
+
+def _roles(found: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, Any]:
+    out: dict[str, Any] = {r: getattr(roles, r) for r in ("colour", "depth", "intrinsics", "hand_joints")}
+    camera = palm = None
+    if robot is not None:
+        if robot.base_frame is not None:
+            camera = f"{robot.base_frame} → {robot.camera_frame}"
+        palm = robot.palm_frame
+    out["camera_pose"] = camera
+    out["hand_pose"] = palm
+    out["description"] = "recorded or configured" if robot is not None and robot.description else None
+    out["events"] = "recorded" if found.events else None
+    out["belief"] = sorted(t for t in found.opened.topics if t.startswith("/dgeval/belief/")) or None
+    out["truth"] = sorted(t for t in found.opened.topics if t.startswith("/truth/")) or None
+    if roles.passed_over:
+        out["passed_over"] = roles.passed_over
+    return out
+
+
+def _timing(found: Scan, roles: Roles, config: Config) -> dict[str, Any]:
+    if roles.colour is None or roles.depth is None:
+        return {}
+    out: dict[str, Any] = {}
+    stamps = {}
+    for role, topic in (("colour", roles.colour), ("depth", roles.depth)):
+        header, log = found.times[topic].arrays()
+        offset = getattr(config.clock, role).offset_ns
+        stamps[role], _, faults = clean_stamps(header, log, offset, round(config.sync.jump_s * 1e9))
+        out[f"{role}_stamps"] = {
+            "used": len(stamps[role]), "zero": faults.zero, "backward": faults.backward, "duplicate": faults.duplicate,
+            "jump": faults.jump,
+        }  # fmt: skip
+    tolerance = tolerance_ns(stamps["colour"], config.sync)
+    pairs = pair(stamps["colour"], stamps["depth"], tolerance)
+    skew = np.array([int(stamps["depth"][d]) - int(stamps["colour"][c]) for c, d in pairs]) * 1e-9
+    out.update(
+        tolerance_s=tolerance * 1e-9,
+        pairs=len(pairs),
+        unmatched_colour=len(stamps["colour"]) - len(pairs),
+        unmatched_depth=len(stamps["depth"]) - len(pairs),
+    )
+    if len(skew):
+        out.update(skew_median_s=float(np.median(skew)), skew_largest_s=float(np.abs(skew).max()))
+        if abs(float(np.median(skew))) > 0.002:
+            proposed = -round(float(np.median(skew)) * 1e9)
+            out["proposal"] = f"clock.depth.offset_ns = {proposed} would centre depth on colour; nothing is applied by itself"
+    return out
+
+
+def _answers(out: dict[str, Any], found: Scan, roles: Roles, robot: RobotStates | None) -> list[dict[str, Any]]:
+    """Each question with yes, or no and what is missing."""
+
+    def answer(question: str, missing: list[str]) -> dict[str, Any]:
+        return {"question": question, "can": not missing, "missing": missing}
+
+    images = [n for n, v in (("colour", roles.colour), ("depth", roles.depth), ("intrinsics", roles.intrinsics)) if v is None]
+    if not images and not out["timing"].get("pairs"):
+        images = ["colour and depth that pair up in time"]
+    pose = [] if robot is not None and robot.base_frame else ["camera_pose"]
+    hand = [] if robot is not None and robot.palm_frame else ["hand_pose"]
+    geometry = [] if robot is not None and robot.hand_links else ["hand_joints with a description"]
+    closed = [] if any(e.kind == "close" for e in found.events) else ["a close event"]
+    label = [] if any(e.kind == "label" for e in found.events) else ["a label event"]
+    belief = [] if out["roles"]["belief"] else ["belief topics"]
+    return [
+        answer("where is the target in the camera, frame by frame", images),
+        answer("how does it move in the base frame", images + pose),
+        answer("what would the controller have commanded", images + pose + hand + (belief and ["a grasp in the log"])),
+        answer("how did it end, by an operator's word", label),
+        answer("why did it fail", images + pose + hand + geometry + closed),
+        answer("which part of the robot's own belief is to blame", images + pose + hand + closed + belief),
+    ]

@@ -1,0 +1,128 @@
+"""Facts out of decoded messages, whatever their ROS version: stamps, poses, intrinsics, joints, events."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dgeval.geometry import Array, Intrinsics
+
+IMAGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"})
+TF_TYPE = "tf2_msgs/msg/TFMessage"
+POSE_TYPES = frozenset(
+    {"geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry"}
+)
+
+
+def stamp_ns(message: Any) -> int:
+    """A decoded message's header stamp, ns."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def header_stamp_ns(data: bytes, encoding: str) -> int:
+    """The stamp of a message that begins with a Header, without decoding the rest. struct.error if too short."""
+    if encoding == "ros1":
+        sec, nanosec = struct.unpack_from("<II", data, 4)
+    else:
+        order = "<" if data[1] & 1 else ">"
+        sec, nanosec = struct.unpack_from(f"{order}iI", data, 4)
+    return int(sec) * 1_000_000_000 + int(nanosec)
+
+
+@dataclass(frozen=True, slots=True)
+class StampedPose:
+    """T_parent_child as px py pz qx qy qz qw at a time; child is "" where the message does not name one."""
+
+    t_ns: int
+    parent: str
+    child: str
+    pose: Array
+
+
+def pose_numbers(position: Any, orientation: Any) -> Array:
+    """(7,) px py pz qx qy qz qw, normalised. ValueError for NaN or a quaternion whose norm is not near 1."""
+    pose = np.array(
+        [position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w], dtype=np.float64
+    )
+    norm = float(np.linalg.norm(pose[3:]))
+    if not np.isfinite(pose).all() or not 0.9 < norm < 1.1:
+        raise ValueError(f"not a pose: {pose.tolist()}")
+    pose[3:] /= norm
+    return pose
+
+
+def poses_of(message: Any) -> list[StampedPose]:
+    """The poses in a TFMessage, PoseStamped, PoseWithCovarianceStamped or Odometry."""
+    if hasattr(message, "transforms"):
+        return [
+            StampedPose(
+                stamp_ns(t),
+                t.header.frame_id.lstrip("/"),
+                t.child_frame_id.lstrip("/"),
+                pose_numbers(t.transform.translation, t.transform.rotation),
+            )
+            for t in message.transforms
+        ]
+    pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+    child = getattr(message, "child_frame_id", "").lstrip("/")
+    parent = message.header.frame_id.lstrip("/")
+    return [StampedPose(stamp_ns(message), parent, child, pose_numbers(pose.position, pose.orientation))]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """Intrinsics with the frame they belong to and the distortion that dgeval does not remove."""
+
+    intrinsics: Intrinsics
+    frame_id: str
+    distortion: tuple[float, ...]
+
+
+def camera_model(message: Any) -> CameraModel:
+    """sensor_msgs/CameraInfo of either ROS version. ValueError for a matrix that can't be a camera's."""
+    k = np.asarray(message.k if hasattr(message, "k") else message.K, dtype=np.float64).reshape(3, 3)
+    d = np.asarray(message.d if hasattr(message, "d") else message.D, dtype=np.float64).ravel()
+    fx, fy, cx, cy = float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
+    if not (math.isfinite(fx + fy + cx + cy) and fx > 0 and fy > 0):
+        raise ValueError(f"camera matrix {k.tolist()} is not a camera's")
+    frame = message.header.frame_id.lstrip("/")
+    return CameraModel(Intrinsics(int(message.width), int(message.height), fx, fy, cx, cy), frame, tuple(d.tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class JointSample:
+    """One JointState: positions rad by joint name; joints with NaN or a missing value are left out."""
+
+    t_ns: int
+    positions: dict[str, float]
+
+
+def joints_of(message: Any) -> JointSample:
+    values = {n: float(v) for n, v in zip(message.name, message.position, strict=False) if math.isfinite(v)}
+    return JointSample(stamp_ns(message), values)
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """An entry of /dgeval/events: what happened at which log time, with whatever else was written."""
+
+    t_ns: int
+    kind: str
+    fields: dict[str, Any]
+
+
+def event_of(text: str, log_ns: int) -> Event:
+    """JSON {"event": …}; an own "t_ns" wins over the log time. ValueError for anything else."""
+    value = json.loads(text)
+    if not isinstance(value, dict) or not isinstance(value.get("event"), str):
+        raise ValueError(f"not an event: {text[:80]!r}")
+    t_ns = value.get("t_ns", log_ns)
+    if not isinstance(t_ns, int):
+        raise ValueError(f"t_ns of an event is not a whole number: {text[:80]!r}")
+    return Event(t_ns, value["event"], {k: v for k, v in value.items() if k not in ("event", "t_ns")})

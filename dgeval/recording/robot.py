@@ -1,0 +1,186 @@
+"""Where camera, palm and hand links are at a time: tf, pose topics, and joints with a description, in one tree."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from dgeval.config import Config
+from dgeval.errors import Place, UsageError
+from dgeval.geometry import Array, matrix_from_pose
+from dgeval.recording.description import Description, LinkShape, load_description
+from dgeval.recording.messages import JointSample
+from dgeval.recording.roles import Roles
+from dgeval.recording.scan import Scan
+from dgeval.recording.transforms import TransformTree
+
+BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
+
+
+@dataclass
+class JointTrack:
+    """Joint positions over time by name, linear between samples at most max_gap_ns apart."""
+
+    times: dict[str, list[int]] = field(default_factory=dict)
+    values: dict[str, list[float]] = field(default_factory=dict)
+
+    @staticmethod
+    def of(samples: list[JointSample], offset_ns: int) -> JointTrack:
+        out = JointTrack()
+        for sample in sorted(samples, key=lambda s: s.t_ns):
+            for name, value in sample.positions.items():
+                times = out.times.setdefault(name, [])
+                t_ns = sample.t_ns + offset_ns
+                if times and t_ns <= times[-1]:
+                    continue
+                times.append(t_ns)
+                out.values.setdefault(name, []).append(value)
+        return out
+
+    def at(self, name: str, t_ns: int, max_gap_ns: int) -> float | None:
+        times = self.times.get(name)
+        if not times:
+            return None
+        i = bisect_left(times, t_ns)
+        if i < len(times) and times[i] == t_ns:
+            return self.values[name][i]
+        if i == 0 or i == len(times) or times[i] - times[i - 1] > max_gap_ns:
+            return None
+        share = (t_ns - times[i - 1]) / (times[i] - times[i - 1])
+        return (1 - share) * self.values[name][i - 1] + share * self.values[name][i]
+
+
+@dataclass
+class RobotStates:
+    """Lookups for one recording. `notes` says what was assumed."""
+
+    tree: TransformTree
+    camera_frame: str
+    base_frame: str | None
+    palm_frame: str | None
+    description: Description | None
+    hand_links: list[str]
+    notes: list[str]
+
+    def T_base_camera(self, t_ns: int) -> Array | None:
+        if self.base_frame is None:
+            return None
+        return self.tree.lookup(self.base_frame, self.camera_frame, t_ns)
+
+    def T_base_palm(self, t_ns: int) -> Array | None:
+        if self.base_frame is None or self.palm_frame is None:
+            return None
+        return self.tree.lookup(self.base_frame, self.palm_frame, t_ns)
+
+    def hand_shapes(self, t_ns: int) -> list[tuple[LinkShape, Array]] | None:
+        """The hand's solids with T_camera_shape; None where a link's pose is not known at this time."""
+        if self.description is None or not self.hand_links:
+            return None
+        out = []
+        for link in self.hand_links:
+            T = self.tree.lookup(self.camera_frame, link, t_ns)
+            if T is None:
+                return None
+            out.extend((shape, T @ shape.T_link_shape) for shape in self.description.shapes.get(link, []))
+        return out
+
+
+def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
+    """Put tf, pose topics and joint states of a recording into one tree and find camera, base and palm in it."""
+    max_gap_ns = round(config.sync.max_pose_gap_s * 1e9)
+    tree = TransformTree(max_gap_ns)
+    notes: list[str] = []
+    offset = config.clock.camera_pose.offset_ns
+    for edge in scan.tf_static:
+        tree.add_static(edge.parent, edge.child, matrix_from_pose(edge.pose))
+    for edge in scan.tf:
+        tree.add_moving(edge.t_ns + offset, edge.parent, edge.child, edge.pose)
+    head = scan.images.get(roles.colour) if roles.colour else None
+    camera = config.frames.camera or (head.frame_id if head else "") or "camera"
+
+    description = _description(scan, config)
+    if description is not None:
+        notes.extend(description.notes)
+        track = JointTrack.of(scan.joints.get(roles.hand_joints or "", []), config.clock.hand_joints.offset_ns)
+        _add_joints(tree, description, track, max_gap_ns)
+    if config.calibration.T_flange_camera is not None:
+        if config.calibration.flange is None:
+            raise UsageError("calibration.T_flange_camera needs calibration.flange, the link it refers to")
+        tree.moving.pop(camera, None)
+        tree.add_static(config.calibration.flange, camera, matrix_from_pose(np.array(config.calibration.T_flange_camera)))
+    if tree.parent(camera) is None and roles.camera_pose:
+        for pose in scan.poses[roles.camera_pose]:
+            tree.add_moving(pose.t_ns + offset, pose.parent or "base", camera, pose.pose)
+    palm = _palm(scan, roles, config, tree, camera, description)
+    base = config.frames.base
+    if base is None and tree.parent(camera) is not None:
+        chain = tree.ancestors(camera)
+        base = next((name for name in BASE_NAMES if name in chain), chain[-1])
+    if base is not None and base not in tree.ancestors(camera):
+        raise UsageError(f"frames.base = {base!r} is not above the camera frame {camera!r} in tf")
+    if base is None:
+        notes.append("no camera pose recorded: the base frame is the camera frame")
+    if tree.reparented:
+        notes.append(f"{tree.reparented} transforms gave a frame a second parent and were not used")
+    links: list[str] = []
+    if description is not None and palm is not None and palm in description.shapes:
+        links = description.below(_hand_root(description, palm))
+        links = [link for link in links if description.shapes.get(link)]
+    return RobotStates(tree, camera, base, palm, description, links, notes)
+
+
+def _description(scan: Scan, config: Config) -> Description | None:
+    text, source = scan.description, f"/robot_description of {scan.opened.path}"
+    if config.calibration.description is not None:
+        source = config.calibration.description
+        try:
+            text = Path(source).read_text(encoding="utf-8")
+        except OSError as error:
+            raise UsageError(f"the robot description can't be read ({error.strerror})", Place(source)) from error
+    if text is None:
+        return None
+    return load_description(text, source, config.calibration.mesh_dirs, config.self_filter.radius_default)
+
+
+def _add_joints(tree: TransformTree, description: Description, track: JointTrack, max_gap_ns: int) -> None:
+    for child, joint in description.joints.items():
+        if joint.kind == "fixed":
+            if child not in tree.static:
+                tree.add_static(joint.parent, child, joint.origin)
+            continue
+
+        def edge(t_ns: int, joint: object = joint) -> Array | None:
+            q = track.at(joint.follows, t_ns, max_gap_ns)  # type: ignore[attr-defined]
+            return None if q is None else joint.at(q)  # type: ignore[attr-defined,no-any-return]
+
+        tree.computed[child] = (joint.parent, edge)
+
+
+def _palm(
+    scan: Scan, roles: Roles, config: Config, tree: TransformTree, camera: str, description: Description | None
+) -> str | None:
+    frames = tree.frames()
+    if config.frames.palm is not None:
+        if config.frames.palm not in frames:
+            raise UsageError(f"frames.palm = {config.frames.palm!r} is in neither tf nor the robot description")
+        return config.frames.palm
+    named = sorted(f for f in frames if "palm" in f.lower())
+    if named:
+        return named[0]
+    if roles.hand_pose:
+        offset = config.clock.hand_pose.offset_ns
+        for pose in scan.poses[roles.hand_pose]:
+            tree.add_moving(pose.t_ns + offset, pose.parent or "base", "palm (hand_pose)", pose.pose)
+        return "palm (hand_pose)"
+    return None
+
+
+def _hand_root(description: Description, palm: str) -> str:
+    """The link the fingers hang from: the palm itself, or what carries a palm frame without children of its own."""
+    link = palm
+    while len(description.below(link)) == 1 and link in description.joints:
+        link = description.joints[link].parent
+    return link

@@ -1,0 +1,151 @@
+"""One pass over a recording: counts, stamps, and everything small (poses, joints, intrinsics, events, latched data).
+
+Images are not decoded here, only their stamps read (and the first of each topic looked at). What is kept per message is
+a few numbers; images never are, so memory does not grow with their number.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.errors import Damage, Place, UndecodableError
+from dgeval.recording.containers import Opened, RawMessage
+from dgeval.recording.images import decode_image
+from dgeval.recording.messages import (
+    IMAGE_TYPES,
+    POSE_TYPES,
+    TF_TYPE,
+    CameraModel,
+    Event,
+    JointSample,
+    StampedPose,
+    camera_model,
+    event_of,
+    header_stamp_ns,
+    joints_of,
+    poses_of,
+)
+
+SCORE_TOPIC = "/dgeval/belief/score"
+EVENTS_TOPIC = "/dgeval/events"
+
+
+@dataclass
+class TopicTimes:
+    """Log and header stamps of a topic, ns; header stamps only where the type has a header."""
+
+    log_ns: list[int] = field(default_factory=list)
+    header_ns: list[int] = field(default_factory=list)
+
+    def arrays(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Header stamps and log times; log times stand in where there is no header."""
+        log = np.array(self.log_ns, dtype=np.int64)
+        header = np.array(self.header_ns, dtype=np.int64) if len(self.header_ns) == len(self.log_ns) else log
+        return header, log
+
+
+@dataclass(frozen=True, slots=True)
+class ImageHead:
+    """The first image of a topic."""
+
+    encoding: str
+    width: int
+    height: int
+    frame_id: str
+    format: str
+
+
+@dataclass
+class Scan:
+    """What one pass found."""
+
+    opened: Opened
+    times: dict[str, TopicTimes] = field(default_factory=lambda: defaultdict(TopicTimes))
+    images: dict[str, ImageHead] = field(default_factory=dict)
+    cameras: dict[str, CameraModel] = field(default_factory=dict)
+    camera_changes: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    tf: list[StampedPose] = field(default_factory=list)
+    tf_static: list[StampedPose] = field(default_factory=list)
+    poses: dict[str, list[StampedPose]] = field(default_factory=lambda: defaultdict(list))
+    joints: dict[str, list[JointSample]] = field(default_factory=lambda: defaultdict(list))
+    scores: list[tuple[int, float]] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    description: str | None = None
+    undecodable: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    first_undecodable: dict[str, str] = field(default_factory=dict)
+
+
+def scan(opened: Opened, events_topic: str | None = None) -> Scan:
+    """Read the whole recording once. Faults of the container end up in `opened.damage`."""
+    out = Scan(opened)
+    wanted_events = events_topic or EVENTS_TOPIC
+    seen_camera: dict[str, bytes] = {}
+    for message in opened.messages():
+        topic = opened.topics[message.topic]
+        times = out.times[message.topic]
+        times.log_ns.append(message.log_ns)
+        try:
+            if topic.type in IMAGE_TYPES:
+                times.header_ns.append(_stamp(message, topic.encoding, opened))
+                if message.topic not in out.images:
+                    out.images[message.topic] = _head(message, opened)
+            elif topic.type == TF_TYPE:
+                latched = message.topic.endswith("static")
+                (out.tf_static if latched else out.tf).extend(poses_of(opened.decode(message)))
+            elif topic.type in POSE_TYPES:
+                pose = poses_of(opened.decode(message))[0]
+                times.header_ns.append(pose.t_ns)
+                out.poses[message.topic].append(pose)
+            elif topic.type == "sensor_msgs/msg/CameraInfo":
+                times.header_ns.append(_stamp(message, topic.encoding, opened))
+                matrix = message.data[20:]  # after the stamp: equal bytes need no second look
+                if seen_camera.get(message.topic) != matrix:
+                    model = camera_model(opened.decode(message))
+                    if message.topic in out.cameras and out.cameras[message.topic] != model:
+                        out.camera_changes[message.topic] += 1
+                    out.cameras.setdefault(message.topic, model)
+                    seen_camera[message.topic] = matrix
+            elif topic.type == "sensor_msgs/msg/JointState":
+                sample = joints_of(opened.decode(message))
+                times.header_ns.append(sample.t_ns)
+                out.joints[message.topic].append(sample)
+            elif topic.type == "std_msgs/msg/String":
+                text = opened.decode(message).data
+                if message.topic == wanted_events:
+                    out.events.append(event_of(text, message.log_ns))
+                elif message.topic.endswith("robot_description"):
+                    out.description = text
+            elif message.topic == SCORE_TOPIC:
+                out.scores.append((message.log_ns, float(opened.decode(message).data)))
+        except (UndecodableError, ValueError, AttributeError, struct.error) as error:
+            out.undecodable[message.topic] += 1
+            out.first_undecodable.setdefault(message.topic, str(error))
+    out.events.sort(key=lambda e: e.t_ns)
+    for name in sorted(out.undecodable):
+        what = f"{out.undecodable[name]} messages can't be used, the first: {out.first_undecodable[name]}"
+        opened.damage.append(Damage(what, Place(str(opened.path), name)))
+    return out
+
+
+def _stamp(message: RawMessage, encoding: str, opened: Opened) -> int:
+    if encoding in ("cdr", "ros1"):
+        return header_stamp_ns(message.data, encoding)
+    stamp = opened.decode(message).header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _head(message: RawMessage, opened: Opened) -> ImageHead:
+    decoded = opened.decode(message)
+    frame = decoded.header.frame_id.lstrip("/")
+    stated = getattr(decoded, "format", "") or getattr(decoded, "encoding", "")
+    try:
+        pixels = decode_image(decoded)
+    except ValueError:
+        return ImageHead("?", 0, 0, frame, stated)
+    height, width = pixels.array.shape[:2]
+    return ImageHead(pixels.encoding, width, height, frame, stated)

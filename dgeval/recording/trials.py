@@ -1,0 +1,338 @@
+"""From paths and manifests to trials, and from a trial to its frames."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from dgeval.config import Config, read_toml
+from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, UsageError
+from dgeval.geometry import Intrinsics, matrix_from_pose
+from dgeval.recording.containers import Opened, open_container, sha256_of
+from dgeval.recording.frame import Frame, RecordedGrasp
+from dgeval.recording.images import colour_from, decode_image, depth_from
+from dgeval.recording.messages import Event
+from dgeval.recording.robot import RobotStates, robot_states
+from dgeval.recording.roles import Roles, find_roles
+from dgeval.recording.scan import Scan, scan
+from dgeval.recording.synchronise import StampFaults, clean_stamps, pair, tolerance_ns
+
+GRASP_TOPIC = "/dgeval/belief/grasp"
+SUFFIXES = (".mcap", ".bag", ".db3")
+MAX_WAITING = 64  # images of one role held while their partners are waited for
+
+
+class _ManifestTrial(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    id: str | None = None
+    recording: str
+    sha256: str | None = None
+    start_ns: int | None = None
+    end_ns: int | None = None
+    frames: tuple[int, int] | None = None
+    bbox: tuple[float, float, float, float] | None = None
+    bbox_time_ns: int | None = None
+    object: str | None = None
+    scenario: str | None = None
+    speed: float | None = None
+    label: str | None = None
+
+
+class _Manifest(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str = ""
+    trial: list[_ManifestTrial]
+
+
+@dataclass(frozen=True)
+class TrialSpec:
+    """One trial to replay: which part of which recording, and what is known about it. Times ns, box px."""
+
+    id: str
+    recording: Path
+    start_ns: int | None = None
+    end_ns: int | None = None
+    frames: tuple[int, int] | None = None
+    bbox: tuple[float, float, float, float] | None = None
+    bbox_time_ns: int | None = None
+    object: str | None = None
+    scenario: str | None = None
+    speed: float | None = None
+    label: str | None = None
+    sha256: str | None = None
+
+
+def find_trials(paths: list[Path], events_topic: str | None = None) -> list[TrialSpec]:
+    """Trials of recordings, folders of recordings and manifests, ids unique. UsageError, UnreadableError."""
+    specs: list[TrialSpec] = []
+    for path in paths:
+        if path.suffix == ".toml":
+            specs.extend(_from_manifest(path))
+        elif path.is_dir() and not _is_recording(path):
+            inside = sorted(p for p in path.rglob("*") if _is_recording(p) and not _is_recording(p.parent))
+            if not inside:
+                raise UnreadableError("no recording (.mcap, .bag, .db3) below this folder", Place(str(path)))
+            for file in inside:
+                relative = file.relative_to(path)
+                specs.extend(_of_recording(file, str(relative.with_suffix("") if file.is_file() else relative), events_topic))
+        else:
+            specs.extend(_of_recording(path, path.stem if path.suffix in SUFFIXES else path.name, events_topic))
+    ids = [s.id for s in specs]
+    twice = sorted({i for i in ids if ids.count(i) > 1})
+    if twice:
+        raise UsageError(f"trial ids are not unique: {', '.join(twice)}", hint="give a manifest with an id per trial")
+    return specs
+
+
+def _is_recording(path: Path) -> bool:
+    if path.is_dir():
+        return any(p.suffix in (".mcap", ".db3") for p in path.iterdir() if p.is_file()) and (
+            (path / "metadata.yaml").exists() or len([p for p in path.iterdir() if p.suffix in (".mcap", ".db3")]) == 1
+        )
+    return path.suffix in SUFFIXES
+
+
+def _of_recording(path: Path, name: str, events_topic: str | None) -> list[TrialSpec]:
+    """One trial per trial_start event, else the whole recording."""
+    opened = open_container(path)
+    topic = events_topic or "/dgeval/events"
+    starts: list[int] = []
+    ends: list[int] = []
+    if topic in opened.topics:
+        from dgeval.recording.messages import event_of
+
+        for message in opened.messages(frozenset({topic})):
+            try:
+                event = event_of(opened.decode(message).data, message.log_ns)
+            except (ValueError, UndecodableError):
+                continue  # counted as undecodable when the trial is read
+            if event.kind in ("trial_start", "trial_end"):
+                (starts if event.kind == "trial_start" else ends).append(event.t_ns)
+    if not starts:
+        return [TrialSpec(name, path)]
+    out = []
+    for k, start in enumerate(sorted(starts)):
+        later = sorted(t for t in [*starts, *ends] if t > start)
+        # the end belongs to the trial; a next start does not
+        end = later[0] if later and later[0] in ends else (later[0] - 1 if later else None)
+        out.append(TrialSpec(name if len(starts) == 1 else f"{name}#{k}", path, start, end))
+    return out
+
+
+def _from_manifest(path: Path) -> list[TrialSpec]:
+    values = read_toml(path)
+    try:
+        manifest = _Manifest.model_validate(values)
+    except ValidationError as error:
+        first: Any = error.errors()[0]
+        where = ".".join(str(p) for p in first["loc"])
+        raise UsageError(f"manifest: {where}: {first['msg']}", Place(str(path))) from error
+    out = []
+    for entry in manifest.trial:
+        recording = path.parent / entry.recording
+        given = entry.model_dump(exclude={"recording", "id"})
+        if entry.start_ns is None and entry.frames is None:
+            for spec in _of_recording(recording, entry.id or str(Path(entry.recording).with_suffix("")), None):
+                times = {"start_ns": spec.start_ns, "end_ns": entry.end_ns or spec.end_ns}
+                out.append(TrialSpec(spec.id, recording, **{**given, **times}))
+        else:
+            out.append(TrialSpec(entry.id or str(Path(entry.recording).with_suffix("")), recording, **given))
+    return out
+
+
+@dataclass
+class Trial:
+    """A trial ready to be read: its pairs of images, robot states, events, and what is wrong with it."""
+
+    spec: TrialSpec
+    opened: Opened
+    scan: Scan
+    roles: Roles
+    robot: RobotStates
+    camera: Intrinsics
+    config: Config
+    sha256: str
+    pairs: list[tuple[int, int, int]]
+    events: list[Event]
+    stamp_faults: dict[str, StampFaults]
+    n_unmatched_colour: int
+    n_unmatched_depth: int
+    notes: list[str]
+    n_undecodable_frames: int = 0
+    static_mask: NDArray[np.uint8] | None = None
+    _grasps: list[tuple[int, RecordedGrasp]] = field(default_factory=list)
+
+    @property
+    def damage(self) -> list[Damage]:
+        return self.opened.damage
+
+    def event_ns(self, kind: str) -> int | None:
+        """Time of the first event of a kind in this trial."""
+        return next((e.t_ns for e in self.events if e.kind == kind), None)
+
+    def frames(self) -> Iterator[Frame]:
+        """Frames in the order of their stamps, index from 0. A frame whose images can't be decoded is counted, not given."""
+        colour_of = {c: (i, t) for i, (t, c, _) in enumerate(self.pairs)}
+        depth_of = {d: i for i, (_, _, d) in enumerate(self.pairs)}
+        waiting: dict[int, dict[str, Any]] = {}
+        seen = {"colour": -1, "depth": -1}
+        next_pair = 0
+        given = 0
+        names = {self.roles.colour: "colour", self.roles.depth: "depth"}
+        for message in self.opened.messages(frozenset(n for n in names if n)):
+            role = names[message.topic]
+            seen[role] += 1
+            index = colour_of[seen[role]][0] if role == "colour" and seen[role] in colour_of else None
+            if role == "depth":
+                index = depth_of.get(seen[role])
+            if index is None or index < next_pair:
+                continue
+            waiting.setdefault(index, {})[role] = message
+            if len(waiting) > MAX_WAITING:
+                what = f"colour and depth lie more than {MAX_WAITING} frames apart in the file"
+                raise UnreadableError(what, Place(str(self.spec.recording), message.topic, message.log_ns), "sort it by time")
+            while next_pair in waiting and len(waiting[next_pair]) == 2:
+                both = waiting.pop(next_pair)
+                frame = self._frame(given, self.pairs[next_pair][0], both["colour"], both["depth"])
+                next_pair += 1
+                if frame is not None:
+                    given += 1
+                    yield frame
+            if next_pair == len(self.pairs):
+                return
+
+    def _frame(self, index: int, t_ns: int, colour_message: Any, depth_message: Any) -> Frame | None:
+        try:
+            decoded = self.opened.decode(colour_message)
+            colour = colour_from(decode_image(decoded))
+            depth = depth_from(decode_image(self.opened.decode(depth_message)), self.config.calibration.depth_scale)
+        except (UndecodableError, ValueError) as error:
+            self._lose(index, t_ns, str(error))
+            return None
+        size = (self.camera.height, self.camera.width)
+        if colour.shape[:2] != size or depth.shape != size:
+            what = f"colour {colour.shape[1]}x{colour.shape[0]}, depth {depth.shape[1]}x{depth.shape[0]}, intrinsics "
+            self._lose(index, t_ns, f"{what}{size[1]}x{size[0]}: not the same size")
+            return None
+        if self.static_mask is not None:
+            depth[self.static_mask > 0] = 0.0
+        T_base_camera = self.robot.T_base_camera(t_ns)
+        at = bisect_right(self._grasps, t_ns, key=lambda g: g[0])
+        return Frame(
+            index,
+            t_ns,
+            colour,
+            depth,
+            self.camera,
+            T_base_camera,
+            self.robot.T_base_palm(t_ns),
+            self.robot.hand_shapes(t_ns),
+            self._grasps[at - 1][1] if at else None,
+            bytes(memoryview(decoded.data)) if hasattr(decoded, "format") else None,
+        )
+
+    def _lose(self, index: int, t_ns: int, why: str) -> None:
+        self.n_undecodable_frames += 1
+        if self.n_undecodable_frames == 1:
+            place = Place(str(self.spec.recording), t_ns=t_ns)
+            self.opened.damage.append(Damage(f"a frame can't be used ({why}); further ones are counted", place))
+
+
+def open_trial(spec: TrialSpec, config: Config) -> Trial:
+    """Scan the recording, find roles, pair images, cut the trial's window out."""
+    place = Place(str(spec.recording))
+    opened = open_container(spec.recording)
+    sha256 = sha256_of(spec.recording)
+    if spec.sha256 is not None and spec.sha256.lower() != sha256:
+        raise UnreadableError(f"sha256 is {sha256}, the manifest says {spec.sha256}: not the recording it names", place)
+    found = scan(opened, config.roles.events)
+    roles = find_roles(found, config.roles)
+    if roles.colour is None or roles.depth is None:
+        missing = " and ".join(n for n, v in (("colour", roles.colour), ("depth", roles.depth)) if v is None)
+        listed = ", ".join(f"{t.name} ({t.type})" for t in sorted(opened.topics.values(), key=lambda t: t.name)) or "nothing"
+        lost = f" after damage ({opened.damage[0].what})" if opened.damage else ""
+        hint = "name it with --set roles.colour=… or roles.depth=…"
+        raise UnreadableError(f"no {missing} images found{lost} among: {listed}", place, hint)
+    robot = robot_states(found, roles, config)
+    notes = list(robot.notes)
+    camera = _camera(found, roles, config, place, notes)
+
+    times: dict[str, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
+    faults = {}
+    for role, topic in (("colour", roles.colour), ("depth", roles.depth)):
+        header, log = found.times[topic].arrays()
+        offset = getattr(config.clock, role).offset_ns
+        stamps, ordinals, faults[role] = clean_stamps(header, log, offset, round(config.sync.jump_s * 1e9))
+        times[role] = (stamps, ordinals)
+    colour_ns, colour_ordinals = times["colour"]
+    depth_ns, depth_ordinals = times["depth"]
+    matched = pair(colour_ns, depth_ns, tolerance_ns(colour_ns, config.sync))
+    pairs = [(int(colour_ns[c]), int(colour_ordinals[c]), int(depth_ordinals[d])) for c, d in matched]
+    start = spec.start_ns if spec.start_ns is not None else (int(colour_ns[0]) if len(colour_ns) else 0)
+    if spec.frames is not None:
+        a, b = spec.frames
+        if not 0 <= a < b <= len(pairs):
+            raise UsageError(f"frames {a}:{b} are not within the recording's {len(pairs)} paired frames", place)
+        pairs = pairs[a:b]
+        start, end = pairs[0][0], pairs[-1][0]
+    else:
+        end = spec.end_ns if spec.end_ns is not None else (int(colour_ns[-1]) if len(colour_ns) else 0)
+        pairs = [p for p in pairs if start <= p[0] <= end]
+    if not pairs:
+        what = f"no colour and depth images pair up between {start} and {end} ns"
+        if opened.damage:
+            what += f" (damage: {opened.damage[0].what})"
+        raise UnreadableError(what, place, "see `dgeval inspect` for their stamps")
+    inside = ((colour_ns >= start) & (colour_ns <= end)).sum(), ((depth_ns >= start) & (depth_ns <= end)).sum()
+    # the last frame's worth of time after the window still belongs to its events
+    events = [e for e in found.events if start <= e.t_ns <= end + 1_000_000_000]
+    if spec.end_ns is not None:
+        events = [e for e in events if e.t_ns <= spec.end_ns]
+    grasps = []
+    for pose in found.poses.get(GRASP_TOPIC, []):
+        near = [s for s in found.scores if s[0] <= pose.t_ns + 1_000_000]
+        grasps.append((pose.t_ns, RecordedGrasp(matrix_from_pose(pose.pose), near[-1][1] if near else None)))
+    if any(f.dropped or f.zero for f in faults.values()):
+        notes.append(
+            "stamps: "
+            + ", ".join(f"{r} {f.zero} zero, {f.backward} backward, {f.duplicate} duplicate" for r, f in sorted(faults.items()))
+        )
+    spec = replace(spec, start_ns=start, end_ns=end)
+    return Trial(
+        spec, opened, found, roles, robot, camera, config, sha256, pairs, events, faults,
+        max(0, int(inside[0]) - len(pairs)), max(0, int(inside[1]) - len(pairs)), notes,
+        static_mask=_static_mask(config, camera), _grasps=sorted(grasps, key=lambda g: g[0]),
+    )  # fmt: skip
+
+
+def _camera(found: Scan, roles: Roles, config: Config, place: Place, notes: list[str]) -> Intrinsics:
+    assert roles.colour is not None
+    head = found.images[roles.colour]
+    if config.calibration.intrinsics is not None:
+        return Intrinsics(head.width, head.height, *config.calibration.intrinsics)
+    model = found.cameras.get(roles.intrinsics or "")
+    if model is None:
+        raise UsageError("no camera intrinsics recorded", place, "give --set 'calibration.intrinsics=[fx, fy, cx, cy]'")
+    if any(abs(d) > 1e-9 for d in model.distortion):
+        notes.append(f"lens distortion {[round(d, 4) for d in model.distortion]} is recorded and not removed")
+    if found.camera_changes.get(roles.intrinsics or ""):
+        notes.append("the intrinsics change within the recording; the first are used")
+    return model.intrinsics
+
+
+def _static_mask(config: Config, camera: Intrinsics) -> NDArray[np.uint8] | None:
+    if config.calibration.static_mask is None:
+        return None
+    place = Place(config.calibration.static_mask)
+    mask = cv2.imread(config.calibration.static_mask, cv2.IMREAD_GRAYSCALE)
+    if mask is None or mask.shape != (camera.height, camera.width):
+        raise UsageError(f"calibration.static_mask is not an image of {camera.width}x{camera.height}", place)
+    return np.asarray(mask, dtype=np.uint8)

@@ -1,0 +1,293 @@
+"""The run folder: what one trial writes, its commit mark, resuming, and the tables put together at the end."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from dgeval import __version__
+from dgeval.config import Config
+from dgeval.determinism import fingerprint, limit_threads
+from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError
+from dgeval.recording.containers import describe
+from dgeval.recording.trials import Trial, TrialSpec, open_trial
+from dgeval.replay import replay
+from dgeval.schema import FRAMES, FRAMES_ADDED, SCHEMA_VERSION, TIMINGS, TRIALS, StageDigests, arrow_schema, arrow_table
+from dgeval.verdict.outcome import stated_outcome
+
+ROWS_PER_GROUP = 500
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """What a worker hands back for one trial: its table row (None if it failed), exit code, messages, input hash."""
+
+    id: str
+    row: dict[str, Any] | None
+    exit_code: int
+    messages: list[str]
+    sha256: str | None
+    resumed: bool = False
+
+
+def file_name(trial: str) -> str:
+    """A trial's id as a file name: path separators and characters that some file systems refuse replaced."""
+    return "".join(c if c.isalnum() or c in "-_.#+" else "~" for c in trial)
+
+
+def resume_key(spec: TrialSpec, config: Config, sha256: str) -> str:
+    """What a trial's result depends on. The recording's place and name are not part of it; its content is."""
+    about = {k: v for k, v in asdict(spec).items() if k != "recording"}
+    text = json.dumps([__version__, SCHEMA_VERSION, config.model_dump(mode="json"), about, sha256], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def replay_trial(
+    spec: TrialSpec,
+    config: Config,
+    out: Path,
+    review: bool,
+    force: bool,
+    progress: Callable[[int, int], None] | None = None,
+) -> TrialResult:
+    """Replay one trial into the run folder; the commit mark `trials/<trial>.json` is written last.
+
+    Known errors become messages with an exit code; so does an unknown one, with its traceback in the message list only.
+    """
+    limit_threads()
+    try:
+        return _replay_trial(spec, config, out, review, force, progress)
+    except DgevalError as error:
+        return TrialResult(spec.id, None, error.exit_code, [str(error)], None)
+    except Exception as error:  # the boundary of a trial: one must not take the others down
+        where = traceback.format_exc().strip().splitlines()[-3:]
+        what = f"internal error: {describe(error)} ({' '.join(line.strip() for line in where[:1])})"
+        return TrialResult(spec.id, None, EXIT_INTERNAL, [what], None)
+
+
+def _replay_trial(
+    spec: TrialSpec, config: Config, out: Path, review: bool, force: bool, progress: Callable[[int, int], None] | None
+) -> TrialResult:
+    trial = open_trial(spec, config)
+    key = resume_key(spec, config, trial.sha256)
+    name = file_name(spec.id)
+    mark = out / "trials" / f"{name}.json"
+    if not force:
+        kept = _committed(mark, key, out, name, review)
+        if kept is not None:
+            return TrialResult(spec.id, kept["row"], kept["exit_code"], kept["messages"], trial.sha256, resumed=True)
+    mark.unlink(missing_ok=True)
+    for folder in ("frames", "models", "review", "trials"):
+        (out / folder).mkdir(parents=True, exist_ok=True)
+
+    view = None
+    if review:
+        from dgeval.rerun_view import ReviewWriter
+
+        view = ReviewWriter(out / "review" / f"{name}.rrd.part", trial, config)
+    digests = StageDigests()
+    counts = dict.fromkeys(("frames", "lost", "predicted", "no_depth"), 0)
+    t_execute_ns = None
+    model = None
+    last_ns = trial.pairs[-1][0]
+    frames_path = out / "frames" / f"{name}.parquet"
+    timings_path = out / "trials" / f"{name}.timings.parquet"
+    with (
+        _Table(frames_path, (*FRAMES, *FRAMES_ADDED)) as frames_table,
+        _Table(timings_path, TIMINGS) as timings_table,
+    ):
+        for step in replay(trial, config):
+            digests.add(step.row)
+            frames_table.add(step.row)
+            for stage, seconds in step.seconds.items():
+                timings_table.add({"trial": spec.id, "frame": step.frame.index, "stage": stage, "seconds": seconds})
+            counts["frames"] += 1
+            counts["lost"] += step.row["tracking"] == "lost"
+            counts["predicted"] += bool(step.row.get("predicted"))
+            counts["no_depth"] += step.row["tracking"] == "tracked" and step.row.get("n_observed") is None
+            if t_execute_ns is None and step.row.get("execute"):
+                t_execute_ns = step.frame.t_ns
+            model = step.model if step.model is not None else model
+            last_ns = step.frame.t_ns
+            if view is not None:
+                view.add(step)
+            if progress is not None:
+                progress(step.frame.index + 1, len(trial.pairs))
+    if view is not None:
+        view.close(out / "review" / f"{name}.rrd")
+    if model is not None:
+        _write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
+
+    row, exit_code, messages = _trial_row(trial, config, counts, t_execute_ns, last_ns)
+    row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
+    _write_atomically(
+        mark,
+        json.dumps({"key": key, "row": row, "exit_code": exit_code, "messages": messages, "sha256": trial.sha256}, indent=1),
+    )
+    return TrialResult(spec.id, row, exit_code, messages, trial.sha256)
+
+
+def _trial_row(
+    trial: Trial, config: Config, counts: dict[str, int], t_execute_ns: int | None, last_ns: int
+) -> tuple[dict[str, Any], int, list[str]]:
+    spec = trial.spec
+    messages = [f"damage: {d}" for d in trial.damage]
+    exit_code = EXIT_DATA_LOST if trial.damage else EXIT_OK
+    unmatched = trial.n_unmatched_colour
+    seen = unmatched + len(trial.pairs)
+    if unmatched and unmatched / seen > config.sync.max_unmatched_share:
+        exit_code = EXIT_DATA_LOST
+        messages.append(f"{unmatched} of {seen} colour images have no depth image near enough in time")
+    label = spec.label or next((str(e.fields.get("label")) for e in trial.events if e.kind == "label"), None)
+    t_close_ns = trial.event_ns("close")
+    outcome = stated_outcome(label, t_close_ns, bool(trial.damage))
+    self_filter = "geometry" if trial.robot.hand_links else ("mask" if trial.static_mask is not None else "none")
+    notes = list(trial.notes)
+    if counts["no_depth"]:
+        notes.append(f"no usable depth on the target in {counts['no_depth']} of {counts['frames']} frames: followed in colour")
+    if unmatched or trial.n_unmatched_depth:
+        notes.append(f"unmatched images: {unmatched} colour, {trial.n_unmatched_depth} depth")
+    if trial.n_undecodable_frames:
+        notes.append(f"{trial.n_undecodable_frames} frames could not be decoded")
+    if self_filter == "none":
+        notes.append("self_filter: none, no robot description")
+    stand_in = {"model": "model tracker", "csrt": "CSRT"}[config.tracking.method]
+    notes.append(f"stand-in: {stand_in} in place of TransT-M")
+    if any(g for g in trial.scan.poses.get("/dgeval/belief/grasp", [])):
+        notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
+    row: dict[str, Any] = {
+        "trial": spec.id,
+        "recording": spec.recording.name,
+        "pipeline": config.pipeline,
+        "base_frame": trial.robot.base_frame or trial.robot.camera_frame,
+        "scenario": spec.scenario,
+        "object": spec.object,
+        "speed": spec.speed,
+        "t_start_ns": spec.start_ns,
+        "t_end_ns": max(spec.end_ns or last_ns, last_ns),
+        "n_frames": counts["frames"],
+        "n_lost": counts["lost"],
+        "n_predicted": counts["predicted"],
+        "self_filter": self_filter,
+        "target_source": "bbox" if spec.bbox is not None else "automatic",
+        "t_execute_ns": t_execute_ns,
+        "t_close_ns": t_close_ns,
+        "outcome": outcome.outcome,
+        "outcome_source": outcome.source,
+        "failure_class": outcome.failure_class,
+        "evidence": outcome.evidence,
+        "notes": "; ".join(notes),
+    }
+    if outcome.failure_class == "unknown":
+        row.update(p_imprecise_pose=0.0, p_collision=0.0, p_timing=0.0, p_unknown=1.0)
+    return row, exit_code, messages
+
+
+def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
+    """Put the tables together from the trials' own files and write run.json. Returns the run's exit code."""
+    done = sorted((r for r in results if r.row is not None), key=lambda r: r.id)
+    rows = [r.row for r in done if r.row is not None]
+    _write_table(out / "trials.parquet", arrow_table(TRIALS, rows))
+    timings = [pq.read_table(out / "trials" / f"{file_name(r.id)}.timings.parquet") for r in done]
+    _write_table(out / "timings.parquet", pa.concat_tables(timings) if timings else arrow_table(TIMINGS, []))
+    lines = [
+        json.dumps({"trial": r.id, "exit_code": r.exit_code, "message": m}) for r in sorted(results, key=lambda r: r.id)
+        for m in r.messages
+    ]  # fmt: skip
+    _write_atomically(out / "log.jsonl", "".join(line + "\n" for line in lines))
+    about = {
+        "schema_version": SCHEMA_VERSION,
+        "dgeval": __version__,
+        "config": config.model_dump(mode="json"),
+        "fingerprint": fingerprint(),
+        "inputs": {r.id: r.sha256 for r in done},
+        "failed": {r.id: r.messages for r in results if r.row is None},
+    }
+    _write_atomically(out / "run.json", json.dumps(about, indent=1, sort_keys=True))
+    return exit_code_of(results)
+
+
+def exit_code_of(results: list[TrialResult]) -> int:
+    """0 if all is well; 4 for an internal error; 2 if nothing could be read; 3 if something was lost, the rest done."""
+    codes = {r.exit_code for r in results}
+    if EXIT_INTERNAL in codes:
+        return EXIT_INTERNAL
+    if results and all(r.row is None for r in results):
+        return EXIT_USAGE if EXIT_USAGE in codes else max(codes)
+    return EXIT_DATA_LOST if codes - {EXIT_OK} else EXIT_OK
+
+
+def _committed(mark: Path, key: str, out: Path, name: str, review: bool) -> dict[str, Any] | None:
+    """The commit mark of a finished trial with the same inputs, if everything it stands for is there."""
+    try:
+        kept: dict[str, Any] = json.loads(mark.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    wanted = [out / "frames" / f"{name}.parquet", out / "trials" / f"{name}.timings.parquet"]
+    if review:
+        wanted.append(out / "review" / f"{name}.rrd")
+    return kept if kept.get("key") == key and all(p.is_file() for p in wanted) else None
+
+
+class _Table:
+    """A Parquet file written in row groups, so that a long trial never lies in memory; renamed when complete."""
+
+    def __init__(self, path: Path, columns: tuple[Any, ...]) -> None:
+        self._path, self._columns = path, columns
+        self._part = path.with_name(path.name + ".part")
+        self._rows: list[dict[str, Any]] = []
+
+    def __enter__(self) -> _Table:
+        self._writer = pq.ParquetWriter(self._part, arrow_schema(self._columns), compression="zstd")
+        return self
+
+    def add(self, row: dict[str, Any]) -> None:
+        self._rows.append(row)
+        if len(self._rows) >= ROWS_PER_GROUP:
+            self._flush()
+
+    def _flush(self) -> None:
+        if self._rows:
+            self._writer.write_table(arrow_table(self._columns, self._rows))
+            self._rows = []
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self._flush()
+        self._writer.close()
+        if kind is None:
+            os.replace(self._part, self._path)
+        else:
+            self._part.unlink(missing_ok=True)
+
+
+def _write_table(path: Path, table: Any) -> None:
+    part = path.with_name(path.name + ".part")
+    pq.write_table(table, part, compression="zstd")
+    os.replace(part, path)
+
+
+def _write_atomically(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+
+
+def _write_ply(path: Path, points: Any, normals: Any) -> None:
+    """Binary little-endian PLY, float32 points and normals, model frame, m."""
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+    head += "".join(f"property float {n}\n" for n in ("x", "y", "z", "nx", "ny", "nz")) + "end_header\n"
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(head.encode() + np.hstack([points, normals]).astype("<f4").tobytes())
+    os.replace(part, path)

@@ -1,0 +1,55 @@
+"""Smoothing by the previous observations and merging into the model cloud (paper equations 1 and 2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from dgeval.config import FusionConfig
+from dgeval.geometry import Array, transform
+from dgeval.stages.types import Model, Observation
+
+
+def supported(points: Array, previous: list[cKDTree], epsilon: float) -> NDArray[np.bool_]:
+    """Equation 1: which points (n, 3) have, in every previous observation, a point closer than epsilon m (strictly)."""
+    keep = np.ones(len(points), dtype=bool)
+    for tree in previous:
+        # distance_upper_bound finds only neighbours nearer than it, which makes the ball open as in the paper
+        distance, _ = tree.query(points[keep], distance_upper_bound=epsilon)
+        keep[np.nonzero(keep)[0]] = np.isfinite(distance)
+    return keep
+
+
+class Fusion:
+    """Q_t and the last n_s accepted observations, all kept in the model frame, which moves with the object.
+
+    Keeping them there is the same as moving them into each new camera frame, without adding up rounding.
+    """
+
+    def __init__(self, config: FusionConfig) -> None:
+        self.config = config
+        self.reset()
+
+    def reset(self) -> None:
+        self.model: Model | None = None
+        self._previous: list[cKDTree] = []
+
+    def step(self, observation: Observation, T_model_camera: Array, rng: np.random.Generator) -> int:
+        """Merge an accepted observation; returns the size of P″_t. Points without a normal are not merged."""
+        has_normal = np.einsum("ij,ij->i", observation.normals, observation.normals) > 0.5
+        points = transform(T_model_camera, observation.points)
+        normals = observation.normals @ T_model_camera[:3, :3].T
+        keep = supported(points, self._previous, self.config.epsilon)
+        self._previous = [*self._previous, cKDTree(points)][-self.config.n_s :]
+        merged = keep & has_normal
+        if self.model is not None:
+            points = np.concatenate([self.model.points, points[merged]])
+            normals = np.concatenate([self.model.normals, normals[merged]])
+        else:
+            points, normals = points[merged], normals[merged]
+        if len(points) > self.config.max_model_points:
+            chosen = np.sort(rng.choice(len(points), self.config.max_model_points, replace=False))
+            points, normals = points[chosen], normals[chosen]
+        self.model = Model(points, normals)
+        return int(keep.sum())

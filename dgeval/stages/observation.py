@@ -1,0 +1,34 @@
+"""P_t: the target's pixels as points, freed of what lies far from the median depth (paper III-A.2, PAPERS A13)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgeval.config import ObservationConfig
+from dgeval.recording.frame import Frame
+from dgeval.stages import segmentation
+from dgeval.stages.types import Observation, Tracked
+
+
+def observe(frame: Frame, tracked: Tracked, rng: np.random.Generator, config: ObservationConfig) -> Observation | None:
+    """Points and normals of the mask, at most `max_points` of them; None with fewer than `min_points`."""
+    if tracked.mask is None or tracked.window is None:
+        return None
+    x0, y0, x1, y1 = tracked.window
+    depth = frame.depth[y0:y1, x0:x1]
+    v, u = np.nonzero(tracked.mask)
+    z = depth[v, u]
+    if not len(z):
+        return None
+    near = np.abs(z - np.median(z)) <= config.c_z
+    v, u = v[near], u[near]
+    if len(v) < config.min_points:
+        return None
+    if len(v) > config.max_points:
+        # one pixel from each of max_points stretches of the row-ordered list: even cover, seeded
+        edges = np.linspace(0, len(v), config.max_points + 1)
+        chosen = (edges[:-1] + rng.random(config.max_points) * np.diff(edges)).astype(int)
+        v, u = v[chosen], u[chosen]
+    points = frame.camera.backproject(u + float(x0), v + float(y0), depth[v, u].astype(np.float64))
+    _, normals = segmentation.surface_normals(depth, tracked.window, tracked.mask, frame.camera)
+    return Observation(points, normals[v, u])

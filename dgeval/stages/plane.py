@@ -1,0 +1,55 @@
+"""The dominant plane around the target (table, belt, shelf), so that what the target stands on is not fused into it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgeval.config import PlaneConfig
+from dgeval.geometry import Array, depth_sigma
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """n·p + d = 0 in the camera frame, unit normal towards the camera (d > 0). `support` is the share that lies in it."""
+
+    n: Array
+    d: float
+    support: float
+
+    def height(self, points: Array) -> Array:
+        """Signed distance m of points (..., 3), positive on the camera's side."""
+        return np.asarray(points @ self.n + self.d)
+
+
+def fit_plane(points: Array, rng: np.random.Generator, config: PlaneConfig) -> Plane | None:
+    """Best plane through points (n, 3) m by seeded hypotheses and two least-squares refinements; None without support."""
+    n = len(points)
+    if n < 50:
+        return None
+    picks = points[rng.integers(0, n, (config.hypotheses, 3))]
+    normals = np.cross(picks[:, 1] - picks[:, 0], picks[:, 2] - picks[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    good = lengths > 1e-9
+    if not good.any():
+        return None
+    normals = normals[good] / lengths[good, None]
+    offsets = -np.einsum("ij,ij->i", normals, picks[good, 0])
+    tolerance = config.tolerance_sigmas * depth_sigma(points[:, 2])
+    inside = np.abs(normals @ points.T + offsets[:, None]) < tolerance
+    best = int(np.argmax(inside.sum(axis=1)))
+    normal, offset, mask = normals[best], float(offsets[best]), inside[best]
+    for _ in range(2):
+        chosen = points[mask]
+        if len(chosen) < 10:
+            return None
+        centre = chosen.mean(axis=0)
+        _, _, axes = np.linalg.svd((chosen - centre).T @ (chosen - centre))
+        normal = axes[2]
+        offset = -float(normal @ centre)
+        mask = np.abs(points @ normal + offset) < tolerance
+    if offset < 0:
+        normal, offset = -normal, -offset
+    support = float(mask.mean())
+    return Plane(normal, offset, support) if support >= config.min_support else None

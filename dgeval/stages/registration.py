@@ -1,0 +1,189 @@
+"""Aligning P_t to the model cloud Q_{t-1}, and the gate on the result (paper III-A.2, PAPERS A3 and A4).
+
+Three libraries behind one function. Each gets the same clouds, search radius and starting pose; which one is the default
+is decided by benchmarks/registration.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dgeval.config import RegistrationConfig
+from dgeval.errors import MissingDependencyError
+from dgeval.geometry import Array, Intrinsics, depth_sigma, invert, rotation_angle, transform
+from dgeval.stages import align
+from dgeval.stages.types import Features, Model, Observation, Registration
+
+Backend = Callable[[Array, Model, Array, RegistrationConfig], Array]
+
+
+def align_small_gicp(source: Array, target: Model, T_init: Array, config: RegistrationConfig) -> Array:
+    """Point-to-plane ICP of small_gicp, one thread. T_model_camera.
+
+    Its clouds don't take normals from outside, so they are estimated from the model's points here.
+    """
+    import small_gicp
+
+    cloud = small_gicp.PointCloud(target.points)
+    tree = small_gicp.KdTree(cloud, num_threads=1)
+    small_gicp.estimate_normals(cloud, tree, num_neighbors=12, num_threads=1)
+    result = small_gicp.align(
+        cloud,
+        small_gicp.PointCloud(source),
+        tree,
+        init_T_target_source=T_init,
+        registration_type="PLANE_ICP",
+        max_correspondence_distance=config.search_radius,
+        num_threads=1,
+        max_iterations=config.max_iterations,
+        rotation_epsilon=1e-4,
+        translation_epsilon=1e-5,
+    )
+    return np.asarray(result.T_target_source)
+
+
+def align_open3d(source: Array, target: Model, T_init: Array, config: RegistrationConfig) -> Array:
+    """Point-to-plane ICP of Open3D's legacy pipeline, one thread. T_model_camera."""
+    o3d = import_open3d()
+    clouds = []
+    for points in (source, target.points):
+        cloud = o3d.geometry.PointCloud()
+        cloud.points = o3d.utility.Vector3dVector(points)
+        clouds.append(cloud)
+    clouds[1].normals = o3d.utility.Vector3dVector(target.normals)
+    registration = o3d.pipelines.registration
+    result = registration.registration_icp(
+        clouds[0],
+        clouds[1],
+        config.search_radius,
+        T_init,
+        registration.TransformationEstimationPointToPlane(),
+        registration.ICPConvergenceCriteria(1e-6, 1e-6, config.max_iterations),
+    )
+    return np.asarray(result.transformation)
+
+
+def align_kiss_icp(source: Array, target: Model, T_init: Array, config: RegistrationConfig) -> Array:
+    """KISS-ICP's point-to-point registration against a 5 mm voxel map, one thread. T_model_camera.
+
+    Its configuration class reads the environment, so the parts are built directly; they are made for LiDAR and scaled
+    to a hand-sized object here.
+    """
+    from kiss_icp.mapping import VoxelHashMap
+    from kiss_icp.registration import Registration as KissRegistration
+
+    voxels = VoxelHashMap(voxel_size=0.005, max_distance=10.0, max_points_per_voxel=20)
+    voxels.add_points(target.points)
+    registration = KissRegistration(max_num_iterations=50, convergence_criterion=1e-5, max_num_threads=1)
+    return np.asarray(
+        registration.align_points_to_map(source, voxels, T_init, config.search_radius, config.search_radius / 3)
+    )
+
+
+BACKENDS: dict[str, Backend] = {
+    "small_gicp": align_small_gicp,
+    "open3d": align_open3d,
+    "kiss_icp": align_kiss_icp,
+}
+
+
+def import_open3d() -> Any:
+    """Open3D on one thread. MissingDependencyError names what is missing on this machine."""
+    import ctypes
+
+    try:
+        import libusb_package
+
+        # Open3D's wheel needs libusb-1.0, which slim systems lack; the package brings one that needs no root
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+    except (ImportError, OSError):
+        pass  # a system with its own libusb needs none of this, and without either the import below says so
+    try:
+        import open3d as o3d
+    except (ImportError, OSError) as error:
+        hint = "apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6, or use --set registration.method=small_gicp"
+        raise MissingDependencyError(f"Open3D can't be imported ({error})", hint=hint) from error
+    o3d.utility.set_max_threads(1)  # its threads come from TBB, which OMP_NUM_THREADS does not reach
+    return o3d
+
+
+def register(
+    observation: Observation,
+    model: Model,
+    T_camera_model: Array,
+    features: Features | None,
+    camera: Intrinsics,
+    config: RegistrationConfig,
+) -> Registration:
+    """Register P_t to Q_{t-1} from a starting pose, refine with image features, and measure the fit. No gate yet.
+
+    Fitness is the share of P_t with a model point within the search radius; gate fitness the share within
+    max(5 mm, 2 sigma_z(z)); rmse m over the former.
+    """
+    T = BACKENDS[config.method](observation.points, model, invert(T_camera_model), config)
+    if not np.isfinite(T).all():
+        return Registration(T_camera_model, 0.0, 0.0, None, "not_finite")
+    T = invert(np.asarray(T, dtype=np.float64))
+    tree = cKDTree(model.points)
+    if config.colour and features is not None and len(features.points) >= 6:
+        T = _refine(T, observation, model, tree, features, camera, config)
+    distance, _ = tree.query(transform(invert(T), observation.points), distance_upper_bound=config.search_radius)
+    matched = np.isfinite(distance)
+    limit = np.maximum(config.gate_distance, 2 * depth_sigma(observation.points[:, 2]))
+    rmse = float(np.sqrt(np.mean(distance[matched] ** 2))) if matched.any() else None
+    return Registration(T, float(matched.mean()), float((distance < limit).mean()), rmse, None)
+
+
+def _refine(
+    T: Array,
+    observation: Observation,
+    model: Model,
+    tree: cKDTree,
+    features: Features,
+    camera: Intrinsics,
+    config: RegistrationConfig,
+) -> Array:
+    """What geometry leaves open (a plane sliding in itself) settled by the features; both weigh by their noise."""
+    sigma = depth_sigma(observation.points[:, 2])
+    for cutoff_m, cutoff_px in ((0.012, 4.0), (0.008, 2.5), (0.006, 2.0)):
+        distance, index = tree.query(transform(invert(T), observation.points), distance_upper_bound=config.search_radius)
+        found = np.isfinite(distance)
+        q = transform(T, model.points[index[found]])
+        n = model.normals[index[found]] @ T[:3, :3].T
+        H, g, used = align.depth_normal_equations(q, observation.points[found], n, sigma[found], cutoff_m)
+        Hf, gf, used_features = align.feature_normal_equations(
+            transform(T, features.points), features.pixels, camera, cutoff_px
+        )
+        if used < 20 and used_features < 8:
+            return T
+        T = align.solve(H + Hf, g + gf) @ T
+    return T
+
+
+def gate(
+    registration: Registration,
+    T_camera_model_accepted: Array,
+    centroid: Array,
+    seconds: float,
+    config: RegistrationConfig,
+) -> str | None:
+    """Why a registration is refused, or None (paper III-A.2: fitness over c_a,f; motion under c_a,v and c_a,omega).
+
+    Motion is that of the model's centroid (3,), model frame, and of its axes, relative to the camera, since the last
+    accepted frame, divided by the time since then (PAPERS A3).
+    """
+    if registration.reject_reason is not None:
+        return registration.reject_reason
+    if registration.gate_fitness <= config.c_a_f:
+        return "fitness"
+    T = registration.T_camera_model
+    moved = transform(T, centroid[None])[0] - transform(T_camera_model_accepted, centroid[None])[0]
+    if float(np.linalg.norm(moved)) > config.c_a_v * seconds:
+        return "translation"
+    if rotation_angle(T[:3, :3] @ T_camera_model_accepted[:3, :3].T) > config.c_a_w * seconds:
+        return "rotation"
+    return None

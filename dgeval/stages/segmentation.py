@@ -1,0 +1,180 @@
+"""Which depth pixels belong to the target: by the box and depth steps in the first frame, by the model afterwards."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.config import PlaneConfig
+from dgeval.geometry import Array, Intrinsics, depth_sigma
+from dgeval.stages.plane import Plane, fit_plane
+from dgeval.stages.types import Window
+
+Mask = NDArray[np.bool_]
+Box = tuple[float, float, float, float]
+DEPTH_STEP = 0.015  # m; neighbouring pixels farther apart than this (and 1 % of range) lie on different things
+
+
+def grow(box: Box, share: float, pixels: float, camera: Intrinsics) -> Window:
+    """The box with a border, as a pixel window inside the image (may be empty)."""
+    dx, dy = (box[2] - box[0]) * share + pixels, (box[3] - box[1]) * share + pixels
+    x0, y0 = max(0, int(box[0] - dx)), max(0, int(box[1] - dy))
+    return x0, y0, min(camera.width, int(np.ceil(box[2] + dx))), min(camera.height, int(np.ceil(box[3] + dy)))
+
+
+def is_empty(window: Window) -> bool:
+    return window[0] >= window[2] or window[1] >= window[3]
+
+
+def points_of(depth: NDArray[np.float32], window: Window, mask: Mask, camera: Intrinsics) -> Array:
+    """Camera points (n, 3) of the masked pixels of a depth window, in row order."""
+    v, u = np.nonzero(mask)
+    return camera.backproject(u + float(window[0]), v + float(window[1]), depth[v, u].astype(np.float64))
+
+
+def fill(depth: NDArray[np.float32], size: int = 3) -> NDArray[np.float32]:
+    """Depth with pinholes closed by the farthest neighbour, so that a grid of holes does not cut a surface apart."""
+    wide = cv2.dilate(depth, np.ones((size, size), np.uint8))
+    return np.where(depth > 0, depth, wide).astype(np.float32)
+
+
+def surrounding_plane(
+    depth: NDArray[np.float32],
+    window: Window,
+    inner: Box,
+    blocked: Mask,
+    camera: Intrinsics,
+    rng: np.random.Generator,
+    config: PlaneConfig,
+) -> Plane | None:
+    """The dominant plane of what lies around the inner box in a window; the target's own faces have no vote."""
+    if not config.enabled:
+        return None
+    around = (depth > 0) & ~blocked
+    x0, y0, x1, y1 = (int(inner[0]) - window[0], int(inner[1]) - window[1], int(inner[2]) - window[0], int(inner[3]) - window[1])
+    around[max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = False
+    v, u = np.nonzero(around)
+    step = max(1, len(v) // 1200)
+    v, u = v[::step], u[::step]
+    points = camera.backproject(u + float(window[0]), v + float(window[1]), depth[v, u].astype(np.float64))
+    return fit_plane(points, rng, config)
+
+
+def height_map(depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane) -> Array:
+    """Height m over the plane of every pixel of a window (meaningless where depth is 0)."""
+    u = (np.arange(window[0], window[2]) - camera.cx) / camera.fx
+    v = (np.arange(window[1], window[3]) - camera.cy) / camera.fy
+    return np.asarray(depth * (plane.n[0] * u[None, :] + plane.n[1] * v[:, None] + plane.n[2]) + plane.d)
+
+
+def above_plane(depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane | None, config: PlaneConfig) -> Mask:
+    """Pixels with depth that stand clear of the plane on the camera's side."""
+    valid: Mask = depth > 0
+    if plane is None:
+        return valid
+    return valid & (height_map(depth, window, camera, plane) > config.tolerance_sigmas * depth_sigma(depth))
+
+
+def components(depth: NDArray[np.float32], free: Mask) -> tuple[int, NDArray[np.int32]]:
+    """Surfaces that hang together without a depth step, labels from 1."""
+    filled = fill(np.where(free, depth, 0.0).astype(np.float32))
+    limit = np.maximum(DEPTH_STEP, 0.01 * filled)
+    kernel = np.ones((3, 3), np.uint8)
+    low = cv2.erode(np.where(filled > 0, filled, np.float32(1e3)).astype(np.float32), kernel)
+    smooth = (filled > 0) & (filled - low < limit)
+    count, labels = cv2.connectedComponents(smooth.astype(np.uint8), connectivity=4)
+    return count, np.asarray(labels, dtype=np.int32)
+
+
+def segment_box(depth: NDArray[np.float32], window: Window, free: Mask, box: Box) -> Mask:
+    """The target's pixels in the frame where its box was given.
+
+    Among the surfaces of the window, those with most of their area inside the box; the largest, and with it the others
+    at a similar depth. If none lies mostly inside, what of the largest one is inside.
+    """
+    count, labels = components(depth, free)
+    inside = np.zeros(depth.shape, dtype=bool)
+    x0, y0 = max(0, int(box[0]) - window[0]), max(0, int(box[1]) - window[1])
+    inside[y0 : max(0, int(np.ceil(box[3])) - window[1]), x0 : max(0, int(np.ceil(box[2])) - window[0])] = True
+    within = np.bincount(labels[inside], minlength=count)
+    total = np.bincount(labels.ravel(), minlength=count)
+    within[0] = 0
+    if within.max() == 0:
+        return free & inside
+    mostly = within > 0.7 * total
+    candidates = np.where(mostly, within, 0) if (mostly & (within > 0.2 * within.max())).any() else within
+    main = int(np.argmax(candidates))
+    depth_main = float(np.median(depth[(labels == main) & (depth > 0)])) if ((labels == main) & (depth > 0)).any() else 0.0
+    chosen = labels == main
+    for label in range(1, count):
+        if label != main and mostly[label] and within[label] >= 10:
+            z = depth[(labels == label) & (depth > 0)]
+            if len(z) and abs(float(np.median(z)) - depth_main) < 0.1:
+                chosen |= labels == label
+    # pixels at depth steps belong to no surface; those next to the target at its depth are its rim
+    rim = cv2.dilate(chosen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    near = fill(np.where(chosen, depth, 0.0).astype(np.float32), 5)
+    rim &= np.abs(depth - near) < DEPTH_STEP
+    return np.asarray((chosen | rim) & free & inside)
+
+
+def segment_model(depth: NDArray[np.float32], window: Window, free: Mask, points: Array, camera: Intrinsics, reach: int) -> Mask:
+    """The target's pixels by its model at the estimated pose: near its silhouette (px) and close to it in depth.
+
+    `points` (n, 3) are the model's in the camera frame. What reaches beyond the silhouette must hang together with it.
+    """
+    pixels = np.rint(camera.project(points)).astype(int) - np.array(window[:2])
+    height, width = depth.shape
+    inside = (pixels[:, 0] >= 0) & (pixels[:, 0] < width) & (pixels[:, 1] >= 0) & (pixels[:, 1] < height)
+    order = np.argsort(-points[inside, 2], kind="stable")  # the nearest is written last
+    drawn = np.zeros(depth.shape, np.float32)
+    px = pixels[inside][order]
+    drawn[px[:, 1], px[:, 0]] = points[inside, 2][order]
+    # the model is a set of points: close the gaps between them, then reach out for what newly came into view
+    spacing = 5
+    near = np.where(drawn > 0, drawn, np.float32(10.0)).astype(np.float32)
+    front = cv2.erode(near, np.ones((spacing, spacing), np.uint8))
+    front = np.where(front < 10.0, front, 0.0).astype(np.float32)
+    core = (front > 0) & free & (np.abs(depth - front) < 0.02)
+    wide = cv2.erode(
+        np.where(front > 0, front, np.float32(10.0)).astype(np.float32), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    )
+    band = (front == 0) & (wide < 10.0) & free & (depth - wide < 0.04) & (wide - depth < 0.02)
+    count, labels = components(depth, core | band)
+    if count > 1:
+        hits = np.bincount(labels[core], minlength=count)
+        size = np.bincount(labels.ravel(), minlength=count)
+        linked = hits > 0.25 * size
+        linked[0] = False
+        band &= linked[labels]
+    return np.asarray(core | band)
+
+
+def surface_normals(depth: NDArray[np.float32], window: Window, mask: Mask, camera: Intrinsics) -> tuple[Array, Array]:
+    """Smoothed depth (h, w) m and normals (h, w, 3) towards the camera; zero where the mask gives no support."""
+    weight = mask.astype(np.float32)
+    kernel = (7, 7)
+    total = cv2.GaussianBlur(weight, kernel, 1.5)
+    smooth = cv2.GaussianBlur(np.where(mask, depth, 0.0).astype(np.float32), kernel, 1.5)
+    enough = total > 0.15
+    z = np.where(enough, smooth / np.maximum(total, 1e-6), 0.0)
+    u = (np.arange(window[0], window[2]) - camera.cx) / camera.fx
+    v = (np.arange(window[1], window[3]) - camera.cy) / camera.fy
+    points = np.stack([z * u[None, :], z * v[:, None], z], axis=-1)
+    step = 2
+    normals = np.zeros_like(points)
+    if min(z.shape) > 2 * step:
+        dx = points[step:-step, 2 * step :] - points[step:-step, : -2 * step]
+        dy = points[2 * step :, step:-step] - points[: -2 * step, step:-step]
+        n = np.cross(dy, dx)
+        length = np.linalg.norm(n, axis=-1)
+        ok = (
+            enough[step:-step, 2 * step :] & enough[step:-step, : -2 * step] & enough[2 * step :, step:-step]
+            & enough[: -2 * step, step:-step] & (np.abs(dx[..., 2]) < DEPTH_STEP) & (np.abs(dy[..., 2]) < DEPTH_STEP)
+            & (length > 0)
+        )  # fmt: skip
+        normals[step:-step, step:-step][ok] = n[ok] / length[ok][:, None]
+    away = np.einsum("ijk,ijk->ij", normals, points) > 0
+    normals[away] *= -1
+    return z, normals

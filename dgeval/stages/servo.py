@@ -1,0 +1,78 @@
+"""Visual servoing at the recorded state: equations 6 and 7 of the dynamic-grasping paper, open loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgeval.config import ServoConfig
+from dgeval.geometry import Array, rotation_angle, rotation_vector
+
+FAST_DERIVATIVE_GAINS = (0.2, 0.5)  # PAPERS A11
+
+
+@dataclass(frozen=True, slots=True)
+class ServoCommand:
+    """Errors (m, rad) and the commanded twist (6,) [m/s, rad/s], base axes, at the palm's origin."""
+
+    error_linear: float
+    error_angular: float
+    twist: Array
+
+
+def look_at_rotation(T_base_camera: Array, target: Array) -> Array:
+    """r_O: smallest rotation vector (3,), base axes, that turns the optical axis to the target (3,), base frame (A10)."""
+    axis = T_base_camera[:3, 2]
+    to = target - T_base_camera[:3, 3]
+    distance = float(np.linalg.norm(to))
+    if distance < 1e-9:
+        return np.zeros(3)
+    to = to / distance
+    cross = np.cross(axis, to)
+    sine, cosine = float(np.linalg.norm(cross)), float(axis @ to)
+    if sine < 1e-12:
+        return np.zeros(3)
+    return np.asarray(cross / sine * np.arctan2(sine, cosine))
+
+
+def blend_rotation(distance: float, r_O: Array, r_G: Array, config: ServoConfig) -> Array:
+    """Equation 6: rotation vector (3,) between facing the object (far) and the grasp's orientation (near)."""
+    share = float(np.clip((distance - config.c_G) / (config.c_O - config.c_G), 0.0, 1.0))
+    return share * r_O + (1 - share) * r_G
+
+
+class Servo:
+    """Equation 7 with the error's derivative low-passed over derivative_tau (read literally it diverges, PAPERS A11)."""
+
+    def __init__(self, config: ServoConfig) -> None:
+        self.config = config
+        self.reset()
+
+    def reset(self) -> None:
+        self._last: tuple[int, Array, Array] | None = None
+        self._derivative = np.zeros(6)
+
+    def step(
+        self, t_ns: int, T_base_palm: Array, T_base_grasp: Array, T_base_camera: Array | None, target: Array, velocity: Array
+    ) -> ServoCommand:
+        """Command for the recorded palm towards the grasp; target (3,) m and velocity (3,) m/s of the object, base frame.
+
+        Without a camera pose the orientation error is that of the grasp at any distance.
+        """
+        c = self.config
+        t_G = T_base_grasp[:3, 3] - T_base_palm[:3, 3]
+        R = T_base_grasp[:3, :3] @ T_base_palm[:3, :3].T
+        r_G = rotation_vector(R)
+        distance = float(np.linalg.norm(t_G))
+        r = r_G if T_base_camera is None else blend_rotation(distance, look_at_rotation(T_base_camera, target), r_G, c)
+        error = np.concatenate([t_G, r])
+        if self._last is not None and t_ns > self._last[0]:
+            dt = (t_ns - self._last[0]) * 1e-9
+            raw = (error - np.concatenate(self._last[1:])) / dt
+            self._derivative += dt / (dt + c.derivative_tau) * (raw - self._derivative)
+        self._last = (t_ns, t_G, r)
+        d_v, d_w = (c.c_d_v, c.c_d_w) if c.gains == "paper" else FAST_DERIVATIVE_GAINS
+        v = c.c_p_v * t_G + d_v * self._derivative[:3] + velocity
+        w = c.c_p_w * r + d_w * self._derivative[3:]
+        return ServoCommand(distance, rotation_angle(R), np.concatenate([v, w]))

@@ -1,0 +1,57 @@
+"""Finding the target without a box: what stands on the dominant plane, nearest to where the palm closed."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from dgeval.config import Config
+from dgeval.determinism import generator
+from dgeval.geometry import Array, invert, transform
+from dgeval.recording.frame import Frame
+from dgeval.stages import segmentation
+from dgeval.stages.plane import fit_plane
+from dgeval.stages.self_filter import hand_pixels
+
+MAX_HEIGHT = 0.4  # m over the plane
+MIN_PIXELS = 150
+
+
+def find_target(
+    frame: Frame, T_base_camera: Array | None, palm_at_close: Array | None, config: Config
+) -> tuple[float, float, float, float] | None:
+    """Box px of the component above the dominant plane nearest to palm_at_close (3,) m, base frame.
+
+    Without a close in the log, the largest component, those cut by the image's border last. None if nothing stands out.
+    """
+    window = (0, 0, frame.camera.width, frame.camera.height)
+    hand = np.zeros(frame.depth.shape, dtype=bool)
+    if frame.hand is not None:
+        hand = hand_pixels(frame.depth, (0, 0), frame.camera, frame.hand, config.self_filter.margin)
+    v, u = np.nonzero((frame.depth > 0) & ~hand)
+    step = max(1, len(v) // 2000)
+    v, u = v[::step], u[::step]
+    points = frame.camera.backproject(u.astype(float), v.astype(float), frame.depth[v, u].astype(np.float64))
+    plane = fit_plane(points, generator(config.seed, "target", frame.index), config.plane)
+    if plane is None:
+        return None
+    free = segmentation.above_plane(frame.depth, window, frame.camera, plane, config.plane) & ~hand
+    free &= segmentation.height_map(frame.depth, window, frame.camera, plane) < MAX_HEIGHT
+    free = cv2.morphologyEx(free.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    count, labels = segmentation.components(frame.depth, free)
+    best: tuple[tuple[float, ...], tuple[float, float, float, float]] | None = None
+    for label in range(1, count):
+        at = (labels == label) & free
+        if int(at.sum()) < MIN_PIXELS:
+            continue
+        rows, cols = np.nonzero(at)
+        box = (float(cols.min()), float(rows.min()), float(cols.max() + 1), float(rows.max() + 1))
+        cut = box[0] <= 0 or box[1] <= 0 or box[2] >= frame.camera.width or box[3] >= frame.camera.height
+        rank: tuple[float, ...] = (float(cut), -float(len(rows)))
+        if palm_at_close is not None and T_base_camera is not None:
+            palm = transform(invert(T_base_camera), palm_at_close[None])[0]
+            centre = segmentation.points_of(frame.depth, window, at, frame.camera).mean(axis=0)
+            rank = (float(np.linalg.norm(centre - palm)),)
+        if best is None or rank < best[0]:
+            best = (rank, box)
+    return best[1] if best else None

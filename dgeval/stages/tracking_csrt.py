@@ -1,0 +1,63 @@
+"""A box tracker from colour alone (OpenCV's CSRT) with depth-aware segmentation of its box."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dgeval.config import Config
+from dgeval.determinism import generator
+from dgeval.stages import segmentation
+from dgeval.stages.self_filter import hand_pixels
+from dgeval.stages.tracking_model import TrackingInput
+from dgeval.stages.types import Tracked
+
+
+class CsrtTracker:
+    """CSRT gives the box; plane, hand and depth steps inside it give the mask. It has no pose of its own."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.reset()
+
+    def reset(self) -> None:
+        self._tracker: Any = None
+        self._box: tuple[float, float, float, float] | None = None
+
+    def step(self, given: TrackingInput) -> Tracked:
+        frame = given.frame
+        colour = np.ascontiguousarray(frame.colour[:, :, ::-1])
+        if given.box is not None:
+            self._box = given.box
+            x0, y0, x1, y1 = (round(v) for v in given.box)
+            self._tracker = cv2.TrackerCSRT.create()
+            self._tracker.init(colour, (x0, y0, x1 - x0, y1 - y0))
+        elif self._tracker is None:
+            return Tracked("not_started")
+        else:
+            found, (x, y, w, h) = self._tracker.update(colour)
+            self._box = (float(x), float(y), float(x + w), float(y + h)) if found else None
+        if self._box is None:
+            return Tracked("lost")
+        inside = (
+            max(0.0, self._box[0]),
+            max(0.0, self._box[1]),
+            min(float(frame.camera.width), self._box[2]),
+            min(float(frame.camera.height), self._box[3]),
+        )
+        whole = (self._box[2] - self._box[0]) * (self._box[3] - self._box[1])
+        seen = max(0.0, inside[2] - inside[0]) * max(0.0, inside[3] - inside[1])
+        if whole <= 0 or seen / whole < self.config.tracking.min_visible:
+            return Tracked("lost")
+        window = segmentation.grow(self._box, 0.5, 10, frame.camera)
+        depth = frame.depth[window[1] : window[3], window[0] : window[2]]
+        hand = np.zeros(depth.shape, dtype=bool)
+        if frame.hand is not None:
+            hand = hand_pixels(depth, (window[0], window[1]), frame.camera, frame.hand, self.config.self_filter.margin)
+        rng = generator(self.config.seed, "plane", frame.index)
+        plane = segmentation.surrounding_plane(depth, window, self._box, hand, frame.camera, rng, self.config.plane)
+        free = segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane) & ~hand
+        mask = segmentation.segment_box(depth, window, free, self._box)
+        return Tracked("tracked", inside, window, mask, int(mask.sum()), plane=plane)

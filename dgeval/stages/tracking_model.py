@@ -1,0 +1,377 @@
+"""The `model` tracker: the model cloud projected with the predicted pose, refined by depth and colour.
+
+Goes beyond the paper's image tracker by what RGB-D allows; where the target gives no depth it follows the box in colour
+and says nothing about its pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.config import Config
+from dgeval.determinism import generator
+from dgeval.geometry import Array, Intrinsics, depth_sigma, invert, rotation_angle, transform
+from dgeval.recording.frame import Frame
+from dgeval.stages import align, segmentation
+from dgeval.stages.plane import Plane
+from dgeval.stages.self_filter import hand_pixels
+from dgeval.stages.tracking_image import Grey, ImageTrack, corners, follow
+from dgeval.stages.types import Features, Model, Tracked, Window
+
+Box = tuple[float, float, float, float]
+MAX_KEYFRAMES = 12
+GROWTH_PX = 6
+MARGIN_SHARE = 0.12
+MIN_COVER = 0.5  # of the box, by what has depth in it, before a model is begun
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingInput:
+    """One frame, the box if it is given in this frame, and what the later stages made of the frames before.
+
+    `model` None until there is one; `T_predicted` T_camera_model at this frame from the estimator; `T_previous` the pose
+    the previous frame ended with, `accepted` whether it came from an accepted registration.
+    """
+
+    frame: Frame
+    box: Box | None
+    model: Model | None
+    T_predicted: Array | None
+    T_previous: Array | None
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class _Keyframe:
+    """Features with their model points, in a crop of the image they were found in."""
+
+    crop: Grey
+    origin: tuple[int, int]
+    pixels: NDArray[np.float32]
+    points: Array
+    T_camera_model: Array
+    distance: float
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What a frame leaves behind for a keyframe, until its final pose is known."""
+
+    grey: Grey
+    window: Window
+    mask: NDArray[np.bool_]
+    depth: NDArray[np.float32]
+
+
+class ModelTracker:
+    """See the module's text. Deterministic: draws are keyed by the frame index."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.reset()
+
+    def reset(self) -> None:
+        self._keyframes: list[_Keyframe] = []
+        self._seen: _Seen | None = None
+        self._image: ImageTrack | None = None
+        self._margin: Array | None = None
+        self._margin_distance = 1.0
+        self._given: Box | None = None
+        self._lost_since: int | None = None
+        self._started = False
+
+    def step(self, given: TrackingInput) -> Tracked:
+        frame = given.frame
+        grey = np.asarray(cv2.cvtColor(frame.colour, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+        if given.box is not None:
+            self.reset()
+            self._started = True
+            self._given = given.box
+            return self._start(frame, grey, given.box)
+        if not self._started:
+            return Tracked("not_started")
+        if given.model is None or given.T_predicted is None:
+            return self._follow_image(frame, grey)
+        if given.T_previous is not None and given.accepted:
+            self._keep_keyframe(given.T_previous, frame.camera)
+            if self._margin is None:
+                self._set_margin(given.model, given.T_previous, frame.camera)
+        tracked = self._follow_model(frame, grey, given.model, given.T_predicted)
+        if tracked.state == "tracked":
+            self._lost_since = None
+        elif self._lost_since is None:
+            self._lost_since = frame.t_ns
+        return tracked
+
+    # the first frame
+
+    def _start(self, frame: Frame, grey: Grey, box: Box) -> Tracked:
+        found = self._segment_box(frame, box)
+        if found is None:
+            self._image = ImageTrack(grey, box, self.config.tracking)
+            return Tracked("tracked", self._inside(box, frame.camera), mask_area=0)
+        window, mask, plane, depth = found
+        self._seen = _Seen(grey, window, mask, depth)
+        return Tracked("tracked", self._inside(box, frame.camera), window, mask, int(mask.sum()), plane=plane)
+
+    def _segment_box(
+        self, frame: Frame, box: Box
+    ) -> tuple[Window, NDArray[np.bool_], Plane | None, NDArray[np.float32]] | None:
+        window = segmentation.grow(box, 0.5, 10, frame.camera)
+        if segmentation.is_empty(window):
+            return None
+        depth, free, plane = self._free(frame, window, box)
+        mask = segmentation.segment_box(depth, window, free, box)
+        if int(mask.sum()) < self.config.observation.min_points:
+            return None
+        if _overlap(_extent(mask, window), box) < MIN_COVER:
+            return None  # a patch of depth in the box is not the thing the box holds
+        return window, mask, plane, depth
+
+    def _free(self, frame: Frame, window: Window, inner: Box) -> tuple[NDArray[np.float32], NDArray[np.bool_], Plane | None]:
+        """Depth of a window, the pixels that are neither hand nor plane, and the plane."""
+        depth = frame.depth[window[1] : window[3], window[0] : window[2]]
+        hand = np.zeros(depth.shape, dtype=bool)
+        if frame.hand is not None:
+            hand = hand_pixels(depth, (window[0], window[1]), frame.camera, frame.hand, self.config.self_filter.margin)
+        rng = generator(self.config.seed, "plane", frame.index)
+        plane = segmentation.surrounding_plane(depth, window, inner, hand, frame.camera, rng, self.config.plane)
+        free = segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane) & ~hand
+        return depth, free, plane
+
+    # colour alone
+
+    def _follow_image(self, frame: Frame, grey: Grey) -> Tracked:
+        """No model yet: the box in colour, and a model as soon as the box holds enough depth."""
+        if self._image is None:
+            return Tracked("lost")
+        box = self._image_box(frame, grey)
+        if box is None:
+            return Tracked("lost")
+        found = self._segment_box(frame, self._image.box)
+        if found is None:
+            return Tracked("tracked", box)
+        window, mask, plane, depth = found
+        self._seen = _Seen(grey, window, mask, depth)
+        self._given, self._image = self._image.box, None
+        return Tracked("tracked", box, window, mask, int(mask.sum()), plane=plane)
+
+    def _image_box(self, frame: Frame, grey: Grey) -> Box | None:
+        assert self._image is not None
+        agree = self._image.step(grey)
+        if agree < self.config.tracking.min_corners or self._visible(self._image.box, frame.camera) < self._min_visible():
+            return None
+        return self._inside(self._image.box, frame.camera)
+
+    # the model
+
+    def _follow_model(self, frame: Frame, grey: Grey, model: Model, T_predicted: Array) -> Tracked:
+        c = self.config.tracking
+        if self._lost_since is not None and frame.t_ns - self._lost_since > c.reacquire_s * 1e9:
+            return Tracked("lost")
+        guess = self._model_box(model, T_predicted, frame.camera)
+        if guess is None or self._visible(guess, frame.camera) < self._min_visible():
+            return Tracked("lost")
+        window = segmentation.grow(guess, 0.3, 12, frame.camera)
+        depth, free, plane = self._free(frame, window, guess)
+        features = self._follow_features(grey, window, T_predicted, frame.camera)
+        T, agree, n_depth, n_features = self._align(depth, window, free, model, features, T_predicted, frame.camera)
+        needed = c.min_agree if self._lost_since is None else 0.5 * (1 + c.min_agree)
+        by_depth = n_depth >= self.config.observation.min_points and agree >= needed
+        by_colour = n_features >= 2 * c.min_corners
+        if self._lost_since is not None and self._keyframes and n_features < c.min_corners and len(features.points) >= 12:
+            by_depth = False  # something of the right shape that does not look like the target
+        if not by_depth and not by_colour:
+            return Tracked("lost", plane=plane)
+        box = self._model_box(model, T, frame.camera)
+        if box is None or self._visible(box, frame.camera) < self._min_visible():
+            return Tracked("lost", plane=plane)
+        points = transform(T, model.points)
+        window = segmentation.grow(box, 0.15, 8, frame.camera)
+        depth, free = self._crop(frame, window, plane)
+        mask = segmentation.segment_model(depth, window, free, points, frame.camera, GROWTH_PX)
+        self._seen = _Seen(grey, window, mask, depth)
+        inside = self._inside(box, frame.camera)
+        return Tracked("tracked", inside, window, mask, int(mask.sum()), T, features, plane)
+
+    def _crop(
+        self, frame: Frame, window: Window, plane: Plane | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """As `_free`, with the plane already known."""
+        depth = frame.depth[window[1] : window[3], window[0] : window[2]]
+        free = segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane)
+        if frame.hand is not None:
+            origin = (window[0], window[1])
+            free &= ~hand_pixels(depth, origin, frame.camera, frame.hand, self.config.self_filter.margin)
+        return depth, free
+
+    def _align(
+        self,
+        depth: NDArray[np.float32],
+        window: Window,
+        free: NDArray[np.bool_],
+        model: Model,
+        features: Features,
+        T: Array,
+        camera: Intrinsics,
+    ) -> tuple[Array, float, int, int]:
+        """T_camera_model refined; share of model points with agreeing depth, their number, features that agree."""
+        c = self.config.tracking
+        step = max(1, len(model.points) // c.align_points)
+        points, normals = model.points[::step], model.normals[::step]
+        agree, used, n_features = 0.0, 0, 0
+        n_depth = 0
+        for i in range(c.iterations):
+            late = i / max(1, c.iterations - 1)
+            cutoff = 0.03 * (1 - late) + 0.008 * late
+            p = transform(T, points)
+            n = normals @ T[:3, :3].T
+            facing = np.einsum("ij,ij->i", n, p) < -0.2 * np.linalg.norm(p, axis=1)
+            p, n = p[facing], n[facing]
+            uv = np.rint(camera.project(p)).astype(int) - np.array(window[:2])
+            inside = (uv[:, 0] >= 0) & (uv[:, 0] < depth.shape[1]) & (uv[:, 1] >= 0) & (uv[:, 1] < depth.shape[0])
+            p, n, uv = p[inside], n[inside], uv[inside]
+            valid = free[uv[:, 1], uv[:, 0]]
+            p, n, uv = p[valid], n[valid], uv[valid]
+            z = depth[uv[:, 1], uv[:, 0]].astype(np.float64)
+            seen = camera.backproject(uv[:, 0] + float(window[0]), uv[:, 1] + float(window[1]), z)
+            H, g, used = align.depth_normal_equations(p, seen, n, depth_sigma(z), cutoff)
+            n_depth = len(p)
+            agree = float(np.mean(np.abs(p[:, 2] - z) < 0.012)) if n_depth else 0.0
+            if len(features.points):
+                in_camera = transform(T, features.points)
+                Hf, gf, n_features = align.feature_normal_equations(
+                    in_camera, features.pixels, camera, 10.0 * (1 - late) + 2.0 * late
+                )
+                H, g = H + Hf, g + gf
+            if used + 2 * n_features < 10:
+                break
+            step_T = align.solve(H, g)
+            T = step_T @ T
+            if late > 0.6 and np.linalg.norm(step_T[:3, 3]) < 5e-5 and rotation_angle(step_T[:3, :3]) < 1e-4:
+                break
+        return T, agree, n_depth, n_features
+
+    # features
+
+    def _keep_keyframe(self, T_previous: Array, camera: Intrinsics) -> None:
+        """Make the previous frame a keyframe if no kept one sees the target from near its direction and distance."""
+        seen, self._seen = self._seen, None
+        if seen is None:
+            return
+        nearest = self._nearest(T_previous)
+        c = self.config.tracking
+        distance = float(np.linalg.norm(T_previous[:3, 3])) if not self._keyframes else 0.0
+        if nearest is not None:
+            turn = rotation_angle(nearest.T_camera_model[:3, :3].T @ T_previous[:3, :3])
+            distance = float(np.median(transform(T_previous, nearest.points)[:, 2])) if len(nearest.points) else nearest.distance
+            scale = max(distance / nearest.distance, nearest.distance / distance)
+            if turn < c.keyframe_angle and scale < c.keyframe_scale:
+                return
+        x0, y0, x1, y1 = seen.window
+        crop = np.ascontiguousarray(seen.grey[y0:y1, x0:x1])
+        inner = cv2.erode(segmentation.fill(seen.mask.astype(np.float32)), np.ones((5, 5), np.uint8))
+        pixels = corners(crop, (inner > 0).astype(np.uint8) * 255, c.corners)
+        smooth, _ = segmentation.surface_normals(seen.depth, seen.window, seen.mask, camera)
+        if len(pixels):
+            at = np.rint(pixels).astype(int)
+            z = smooth[np.clip(at[:, 1], 0, smooth.shape[0] - 1), np.clip(at[:, 0], 0, smooth.shape[1] - 1)]
+            pixels, z = pixels[z > 0], z[z > 0]
+        else:
+            z = np.zeros(0)
+        if len(pixels) < c.min_corners:
+            return
+        in_camera = camera.backproject(pixels[:, 0] + float(x0), pixels[:, 1] + float(y0), z.astype(np.float64))
+        points = transform(invert(T_previous), in_camera)
+        self._keyframes.append(_Keyframe(crop, (x0, y0), pixels, points, T_previous, float(np.median(z))))
+        if len(self._keyframes) > MAX_KEYFRAMES:
+            del self._keyframes[1]  # the first one carries the least drift and stays
+
+    def _nearest(self, T: Array) -> _Keyframe | None:
+        """The kept keyframe whose view of the target is nearest in direction and distance."""
+        if not self._keyframes:
+            return None
+
+        def unlike(k: _Keyframe) -> float:
+            turn = rotation_angle(k.T_camera_model[:3, :3].T @ T[:3, :3])
+            distance = float(np.median(transform(T, k.points)[:, 2]))
+            return turn / 0.2 + abs(float(np.log(max(distance, 1e-3) / k.distance))) / 0.2
+
+        return min(self._keyframes, key=unlike)
+
+    def _follow_features(self, grey: Grey, window: Window, T: Array, camera: Intrinsics) -> Features:
+        key = self._nearest(T)
+        if key is None:
+            return Features(np.zeros((0, 3)), np.zeros((0, 2)))
+        x0, y0, x1, y1 = window
+        crop = np.ascontiguousarray(grey[y0:y1, x0:x1])
+        guess = camera.project(transform(T, key.points)) - np.array([x0, y0])
+        there, good = follow(key.crop, crop, key.pixels, guess.astype(np.float32))
+        return Features(key.points[good], there[good] + np.array([x0, y0]))
+
+    # boxes
+
+    def _model_box(self, model: Model, T: Array, camera: Intrinsics) -> Box | None:
+        """The projected model's extent, with the border by which the given box differed from it."""
+        found = _projected(model, T, camera)
+        if found is None:
+            return None
+        box, distance = found
+        if self._margin is not None:
+            box = box + self._margin * self._margin_distance / distance
+        return float(box[0]), float(box[1]), float(box[2]), float(box[3])
+
+    def _set_margin(self, model: Model, T: Array, camera: Intrinsics) -> None:
+        """The person who drew the box and the depth that survives at an object's rim differ by a few pixels; keep that."""
+        found = _projected(model, T, camera)
+        if found is None or self._given is None:
+            return
+        box, self._margin_distance = found
+        size = np.array([box[2] - box[0], box[3] - box[1]] * 2)
+        self._margin = np.clip(np.array(self._given) - box, -MARGIN_SHARE * size, MARGIN_SHARE * size)
+
+    def _inside(self, box: Box, camera: Intrinsics) -> Box:
+        return (
+            min(max(box[0], 0.0), float(camera.width)),
+            min(max(box[1], 0.0), float(camera.height)),
+            min(max(box[2], 0.0), float(camera.width)),
+            min(max(box[3], 0.0), float(camera.height)),
+        )
+
+    def _visible(self, box: Box, camera: Intrinsics) -> float:
+        """Share of the box's area that lies inside the image."""
+        inside = self._inside(box, camera)
+        area = (box[2] - box[0]) * (box[3] - box[1])
+        return (inside[2] - inside[0]) * (inside[3] - inside[1]) / area if area > 0 else 0.0
+
+    def _min_visible(self) -> float:
+        return self.config.tracking.min_visible
+
+
+def _projected(model: Model, T: Array, camera: Intrinsics) -> tuple[Array, float] | None:
+    """Extent (4,) px of the projected model without its few farthest points, and its median depth m."""
+    points = transform(T, model.points)
+    points = points[points[:, 2] > 0.05]
+    if len(points) < 10:
+        return None
+    low, high = np.quantile(camera.project(points), [0.003, 0.997], axis=0)
+    return np.array([low[0], low[1], high[0] + 1, high[1] + 1]), float(np.median(points[:, 2]))
+
+
+def _extent(mask: NDArray[np.bool_], window: Window) -> Box:
+    v, u = np.nonzero(mask)
+    return float(u.min() + window[0]), float(v.min() + window[1]), float(u.max() + 1 + window[0]), float(v.max() + 1 + window[1])
+
+
+def _overlap(a: Box, b: Box) -> float:
+    """Intersection over union of two boxes."""
+    w = min(a[2], b[2]) - max(a[0], b[0])
+    h = min(a[3], b[3]) - max(a[1], b[1])
+    if w <= 0 or h <= 0:
+        return 0.0
+    both = w * h
+    return both / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - both)

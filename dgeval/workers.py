@@ -1,0 +1,46 @@
+"""Trials over local processes: spawned, one thread each, results independent of their number."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+from dgeval.config import Config
+from dgeval.determinism import set_thread_variables
+from dgeval.errors import EXIT_INTERNAL
+from dgeval.recording.trials import TrialSpec
+from dgeval.run import TrialResult, replay_trial
+
+
+def replay_trials(
+    specs: list[TrialSpec],
+    config: Config,
+    out: Path,
+    review: bool,
+    force: bool,
+    jobs: int,
+    on_result: Callable[[TrialResult], None],
+    progress: Callable[[int, int], None] | None = None,
+) -> list[TrialResult]:
+    """Replay every trial; results in the order of `specs`. With one job it happens in this process."""
+    results: dict[str, TrialResult] = {}
+    if jobs == 1 or len(specs) == 1:
+        for spec in specs:
+            results[spec.id] = replay_trial(spec, config, out, review, force, progress)
+            on_result(results[spec.id])
+        return [results[s.id] for s in specs]
+    set_thread_variables()
+    with ProcessPoolExecutor(min(jobs, len(specs)), mp_context=multiprocessing.get_context("spawn")) as pool:
+        waiting = {pool.submit(replay_trial, spec, config, out, review, force): spec for spec in specs}
+        for future in as_completed(waiting):
+            spec = waiting[future]
+            try:
+                result = future.result()
+            except BrokenProcessPool:
+                result = TrialResult(spec.id, None, EXIT_INTERNAL, ["the worker process died (out of memory?)"], None)
+            results[spec.id] = result
+            on_result(result)
+    return [results[s.id] for s in specs]
