@@ -77,7 +77,7 @@ class SelfFilterConfig(Section):
 
 class PlaneConfig(Section):
     enabled: bool = True
-    hypotheses: int = Field(48, ge=1)
+    hypotheses: int = Field(32, ge=1)
     min_support: float = Field(0.35, gt=0, le=1, description="share of the surroundings that must lie in the plane")
     tolerance_sigmas: float = Field(3.0, gt=0, description="half thickness in depth standard deviations")
 
@@ -87,8 +87,8 @@ class TrackingConfig(Section):
     corners: int = Field(200, ge=8, description="image features followed on the target")
     keyframe_angle: float = Field(0.20, gt=0, description="rad; a new keyframe when the view has turned by this much")
     keyframe_scale: float = Field(1.25, gt=1, description="a new keyframe when the target's size has changed this much")
-    iterations: int = Field(12, ge=1)
-    align_points: int = Field(1000, ge=50, description="model points used in the alignment to depth")
+    iterations: int = Field(8, ge=1)
+    align_points: int = Field(500, ge=50, description="model points used in the alignment to depth")
     min_visible: float = Field(0.35, gt=0, le=1, description="share of the target's box inside the image, else lost")
     min_agree: float = Field(0.5, gt=0, le=1, description="share of model points with agreeing depth, else lost")
     min_corners: int = Field(6, ge=3, description="followed features, else the image alone does not carry the track")
@@ -97,7 +97,7 @@ class TrackingConfig(Section):
 
 class ObservationConfig(Section):
     c_z: float = Field(0.1, gt=0, description="m; allowed distance from the median depth (Table V, c_z)")
-    max_points: int = Field(1500, ge=50)
+    max_points: int = Field(1000, ge=50)
     min_points: int = Field(60, ge=10, description="fewer points are no observation")
 
 

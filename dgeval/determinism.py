@@ -8,7 +8,6 @@ import os
 import platform
 import struct
 from collections.abc import Mapping
-from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -46,6 +45,8 @@ def generator(seed: int, stage: str, frame: int) -> np.random.Generator:
 
 def fingerprint() -> dict[str, str]:
     """What may change the last bits of a result: processor, C library, Python and library versions."""
+    from importlib import metadata
+
     out = {
         "machine": platform.machine(),
         "system": platform.system(),

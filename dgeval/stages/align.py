@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgeval.geometry import Array, Intrinsics, increment
+from dgeval.geometry import Array, Intrinsics, cross, increment
 
 SIGMA_PIXEL = 0.5
 # Neighbouring depth pixels share their errors (the matching window of the camera spans several), so n of them tell less
@@ -26,7 +26,7 @@ def depth_normal_equations(
     """
     residual = np.einsum("ij,ij->i", normals, targets - points)
     weight = tukey(residual, cutoff) * DEPTH_WEIGHT / sigma**2
-    J = np.concatenate([normals, np.cross(points, normals)], axis=1)
+    J = np.concatenate([normals, cross(points, normals)], axis=1)
     weighted = J * weight[:, None]
     return weighted.T @ J, weighted.T @ residual, int(np.count_nonzero(weight))
 
@@ -44,7 +44,7 @@ def feature_normal_equations(points: Array, pixels: Array, camera: Intrinsics, c
     Ju = np.stack([camera.fx / z, zero, -camera.fx * x / z**2], axis=1)
     Jv = np.stack([zero, camera.fy / z, -camera.fy * y / z**2], axis=1)
     J = np.concatenate(
-        [np.concatenate([Ju, np.cross(points, Ju)], axis=1), np.concatenate([Jv, np.cross(points, Jv)], axis=1)]
+        [np.concatenate([Ju, cross(points, Ju)], axis=1), np.concatenate([Jv, cross(points, Jv)], axis=1)]
     )
     w = np.concatenate([weight, weight])
     weighted = J * w[:, None]

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from small_gicp import KdTree
 
 from dgeval.config import FusionConfig
 from dgeval.geometry import Array, transform
+from dgeval.stages.neighbours import nearest
 from dgeval.stages.types import Model, Observation
 
 
-def supported(points: Array, previous: list[cKDTree], epsilon: float) -> NDArray[np.bool_]:
+def supported(points: Array, previous: Sequence[KdTree], epsilon: float) -> NDArray[np.bool_]:
     """Equation 1: which points (n, 3) have, in every previous observation, a point closer than epsilon m (strictly)."""
     keep = np.ones(len(points), dtype=bool)
     for tree in previous:
-        # distance_upper_bound finds only neighbours nearer than it, which makes the ball open as in the paper
-        distance, _ = tree.query(points[keep], distance_upper_bound=epsilon)
-        keep[np.nonzero(keep)[0]] = np.isfinite(distance)
+        if not keep.any():
+            break
+        _, distance = nearest(tree, points[keep])
+        keep[np.nonzero(keep)[0]] = distance < epsilon
     return keep
 
 
@@ -33,7 +37,7 @@ class Fusion:
 
     def reset(self) -> None:
         self.model: Model | None = None
-        self._previous: list[cKDTree] = []
+        self._previous: list[KdTree] = []
 
     def step(self, observation: Observation, T_model_camera: Array, rng: np.random.Generator) -> int:
         """Merge an accepted observation; returns the size of P″_t. Points without a normal are not merged."""
@@ -41,7 +45,7 @@ class Fusion:
         points = transform(T_model_camera, observation.points)
         normals = observation.normals @ T_model_camera[:3, :3].T
         keep = supported(points, self._previous, self.config.epsilon)
-        self._previous = [*self._previous, cKDTree(points)][-self.config.n_s :]
+        self._previous = [*self._previous, KdTree(points)][-self.config.n_s :]
         merged = keep & has_normal
         if self.model is not None:
             points = np.concatenate([self.model.points, points[merged]])

@@ -30,5 +30,5 @@ def observe(frame: Frame, tracked: Tracked, rng: np.random.Generator, config: Ob
         chosen = (edges[:-1] + rng.random(config.max_points) * np.diff(edges)).astype(int)
         v, u = v[chosen], u[chosen]
     points = frame.camera.backproject(u + float(x0), v + float(y0), depth[v, u].astype(np.float64))
-    _, normals = segmentation.surface_normals(depth, tracked.window, tracked.mask, frame.camera)
-    return Observation(points, normals[v, u])
+    smooth = segmentation.smoothed(depth, tracked.mask)
+    return Observation(points, segmentation.normals_at(smooth, tracked.window, v, u, frame.camera))

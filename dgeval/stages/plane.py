@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgeval.config import PlaneConfig
-from dgeval.geometry import Array, depth_sigma
+from dgeval.geometry import Array, cross, depth_sigma
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ def fit_plane(points: Array, rng: np.random.Generator, config: PlaneConfig) -> P
     if n < 50:
         return None
     picks = points[rng.integers(0, n, (config.hypotheses, 3))]
-    normals = np.cross(picks[:, 1] - picks[:, 0], picks[:, 2] - picks[:, 0])
+    normals = cross(picks[:, 1] - picks[:, 0], picks[:, 2] - picks[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     good = lengths > 1e-9
     if not good.any():

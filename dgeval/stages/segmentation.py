@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.config import PlaneConfig
-from dgeval.geometry import Array, Intrinsics, depth_sigma
+from dgeval.geometry import Array, Intrinsics, cross, depth_sigma
 from dgeval.stages.plane import Plane, fit_plane
 from dgeval.stages.types import Window
 
@@ -55,17 +55,17 @@ def surrounding_plane(
     x0, y0, x1, y1 = (int(inner[0]) - window[0], int(inner[1]) - window[1], int(inner[2]) - window[0], int(inner[3]) - window[1])
     around[max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = False
     v, u = np.nonzero(around)
-    step = max(1, len(v) // 1200)
+    step = max(1, len(v) // 600)
     v, u = v[::step], u[::step]
     points = camera.backproject(u + float(window[0]), v + float(window[1]), depth[v, u].astype(np.float64))
     return fit_plane(points, rng, config)
 
 
-def height_map(depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane) -> Array:
+def height_map(depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane) -> NDArray[np.float32]:
     """Height m over the plane of every pixel of a window (meaningless where depth is 0)."""
-    u = (np.arange(window[0], window[2]) - camera.cx) / camera.fx
-    v = (np.arange(window[1], window[3]) - camera.cy) / camera.fy
-    return np.asarray(depth * (plane.n[0] * u[None, :] + plane.n[1] * v[:, None] + plane.n[2]) + plane.d)
+    u = plane.n[0] * (np.arange(window[0], window[2]) - camera.cx) / camera.fx
+    v = plane.n[1] * (np.arange(window[1], window[3]) - camera.cy) / camera.fy + plane.n[2]
+    return depth * (u[None, :] + v[:, None]).astype(np.float32) + np.float32(plane.d)
 
 
 def above_plane(depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane | None, config: PlaneConfig) -> Mask:
@@ -148,33 +148,38 @@ def segment_model(depth: NDArray[np.float32], window: Window, free: Mask, points
         linked = hits > 0.25 * size
         linked[0] = False
         band &= linked[labels]
-    return np.asarray(core | band)
+    return without_strays(core | band, depth > 0)
 
 
-def surface_normals(depth: NDArray[np.float32], window: Window, mask: Mask, camera: Intrinsics) -> tuple[Array, Array]:
-    """Smoothed depth (h, w) m and normals (h, w, 3) towards the camera; zero where the mask gives no support."""
-    weight = mask.astype(np.float32)
-    kernel = (7, 7)
-    total = cv2.GaussianBlur(weight, kernel, 1.5)
-    smooth = cv2.GaussianBlur(np.where(mask, depth, 0.0).astype(np.float32), kernel, 1.5)
-    enough = total > 0.15
-    z = np.where(enough, smooth / np.maximum(total, 1e-6), 0.0)
-    u = (np.arange(window[0], window[2]) - camera.cx) / camera.fx
-    v = (np.arange(window[1], window[3]) - camera.cy) / camera.fy
-    points = np.stack([z * u[None, :], z * v[:, None], z], axis=-1)
+def without_strays(mask: Mask, valid: Mask) -> Mask:
+    """The mask less pixels most of whose neighbours with depth are not in it: noise that stands out of the plane."""
+    share = cv2.blur(mask.astype(np.float32), (5, 5)) / np.maximum(cv2.blur(valid.astype(np.float32), (5, 5)), np.float32(1e-3))
+    return np.asarray(mask & (share > 0.4))
+
+
+def smoothed(depth: NDArray[np.float32], mask: Mask) -> NDArray[np.float32]:
+    """Masked depth (h, w) m, Gaussian-smoothed over what the mask holds; 0 where it holds too little."""
+    total = cv2.GaussianBlur(mask.astype(np.float32), (7, 7), 1.5)
+    smooth = cv2.GaussianBlur(np.where(mask, depth, np.float32(0.0)), (7, 7), 1.5)
+    return np.where(total > 0.15, smooth / np.maximum(total, np.float32(1e-6)), np.float32(0.0))
+
+
+def normals_at(smooth: NDArray[np.float32], window: Window, v: NDArray[np.intp], u: NDArray[np.intp], camera: Intrinsics) -> Array:
+    """Unit normals (n, 3) towards the camera at pixels of a smoothed window; zero where a neighbour has no depth or a step."""
     step = 2
-    normals = np.zeros_like(points)
-    if min(z.shape) > 2 * step:
-        dx = points[step:-step, 2 * step :] - points[step:-step, : -2 * step]
-        dy = points[2 * step :, step:-step] - points[: -2 * step, step:-step]
-        n = np.cross(dy, dx)
-        length = np.linalg.norm(n, axis=-1)
-        ok = (
-            enough[step:-step, 2 * step :] & enough[step:-step, : -2 * step] & enough[2 * step :, step:-step]
-            & enough[: -2 * step, step:-step] & (np.abs(dx[..., 2]) < DEPTH_STEP) & (np.abs(dy[..., 2]) < DEPTH_STEP)
-            & (length > 0)
-        )  # fmt: skip
-        normals[step:-step, step:-step][ok] = n[ok] / length[ok][:, None]
-    away = np.einsum("ijk,ijk->ij", normals, points) > 0
-    normals[away] *= -1
-    return z, normals
+    height, width = smooth.shape
+    corners_ = []
+    for dv, du in ((0, step), (0, -step), (step, 0), (-step, 0)):
+        vv, uu = np.clip(v + dv, 0, height - 1), np.clip(u + du, 0, width - 1)
+        z = smooth[vv, uu].astype(np.float64)
+        corners_.append(camera.backproject(uu + float(window[0]), vv + float(window[1]), z))
+    right, left, down, up = corners_
+    n = cross(down - up, right - left)
+    length = np.linalg.norm(n, axis=1)
+    ok = (length > 0) & (np.abs(right[:, 2] - left[:, 2]) < DEPTH_STEP) & (np.abs(down[:, 2] - up[:, 2]) < DEPTH_STEP)
+    for corner in corners_:
+        ok &= corner[:, 2] > 0
+    out = np.zeros((len(v), 3))
+    out[ok] = n[ok] / length[ok, None]
+    out[np.einsum("ij,ij->i", out, right) > 0] *= -1
+    return out

@@ -12,9 +12,9 @@ from dgeval.geometry import Array
 Grey = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
 LK = {
-    "winSize": (15, 15),
-    "maxLevel": 3,
-    "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.02),
+    "winSize": (13, 13),
+    "maxLevel": 2,
+    "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 0.02),
     "minEigThreshold": 1e-4,
 }
 

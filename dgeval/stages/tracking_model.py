@@ -25,7 +25,9 @@ from dgeval.stages.types import Features, Model, Tracked, Window
 Box = tuple[float, float, float, float]
 MAX_KEYFRAMES = 12
 GROWTH_PX = 6
-MARGIN_SHARE = 0.12
+RIM_FRAMES = 15
+RIM_SHARE = 0.08  # of the box; a larger difference is not the rim's doing
+BASE_HEIGHT = 0.012  # m; model points this low over the plane stand on it
 MIN_COVER = 0.5  # of the box, by what has depth in it, before a model is begun
 
 
@@ -54,6 +56,7 @@ class _Keyframe:
     pixels: NDArray[np.float32]
     points: Array
     T_camera_model: Array
+    centre: Array
     distance: float
 
 
@@ -67,6 +70,14 @@ class _Seen:
     depth: NDArray[np.float32]
 
 
+@dataclass(frozen=True)
+class _Begun:
+    """The box and plane of the frame in which the model began."""
+
+    box: Box
+    plane: Plane | None
+
+
 class ModelTracker:
     """See the module's text. Deterministic: draws are keyed by the frame index."""
 
@@ -78,11 +89,11 @@ class ModelTracker:
         self._keyframes: list[_Keyframe] = []
         self._seen: _Seen | None = None
         self._image: ImageTrack | None = None
-        self._margin: Array | None = None
-        self._margin_distance = 1.0
-        self._given: Box | None = None
         self._lost_since: int | None = None
         self._started = False
+        self._begun: _Begun | None = None
+        self._n_accepted = 0
+        self._rim: tuple[Array, float] | None = None
 
     def step(self, given: TrackingInput) -> Tracked:
         frame = given.frame
@@ -90,7 +101,6 @@ class ModelTracker:
         if given.box is not None:
             self.reset()
             self._started = True
-            self._given = given.box
             return self._start(frame, grey, given.box)
         if not self._started:
             return Tracked("not_started")
@@ -98,8 +108,7 @@ class ModelTracker:
             return self._follow_image(frame, grey)
         if given.T_previous is not None and given.accepted:
             self._keep_keyframe(given.T_previous, frame.camera)
-            if self._margin is None:
-                self._set_margin(given.model, given.T_previous, frame.camera)
+            self._learn_rim(given.model, given.T_previous, frame.camera)
         tracked = self._follow_model(frame, grey, given.model, given.T_predicted)
         if tracked.state == "tracked":
             self._lost_since = None
@@ -116,6 +125,7 @@ class ModelTracker:
             return Tracked("tracked", self._inside(box, frame.camera), mask_area=0)
         window, mask, plane, depth = found
         self._seen = _Seen(grey, window, mask, depth)
+        self._begun = _Begun(box, plane)
         return Tracked("tracked", self._inside(box, frame.camera), window, mask, int(mask.sum()), plane=plane)
 
     def _segment_box(
@@ -157,7 +167,8 @@ class ModelTracker:
             return Tracked("tracked", box)
         window, mask, plane, depth = found
         self._seen = _Seen(grey, window, mask, depth)
-        self._given, self._image = self._image.box, None
+        self._begun = _Begun(self._image.box, plane)
+        self._image = None
         return Tracked("tracked", box, window, mask, int(mask.sum()), plane=plane)
 
     def _image_box(self, frame: Frame, grey: Grey) -> Box | None:
@@ -173,7 +184,7 @@ class ModelTracker:
         c = self.config.tracking
         if self._lost_since is not None and frame.t_ns - self._lost_since > c.reacquire_s * 1e9:
             return Tracked("lost")
-        guess = self._model_box(model, T_predicted, frame.camera)
+        guess = self._with_rim(projected_box(model.points[::4], T_predicted, frame.camera, None), model, T_predicted)
         if guess is None or self._visible(guess, frame.camera) < self._min_visible():
             return Tracked("lost")
         window = segmentation.grow(guess, 0.3, 12, frame.camera)
@@ -187,7 +198,7 @@ class ModelTracker:
             by_depth = False  # something of the right shape that does not look like the target
         if not by_depth and not by_colour:
             return Tracked("lost", plane=plane)
-        box = self._model_box(model, T, frame.camera)
+        box = self._with_rim(projected_box(model.points, T, frame.camera, plane), model, T)
         if box is None or self._visible(box, frame.camera) < self._min_visible():
             return Tracked("lost", plane=plane)
         points = transform(T, model.points)
@@ -265,10 +276,9 @@ class ModelTracker:
             return
         nearest = self._nearest(T_previous)
         c = self.config.tracking
-        distance = float(np.linalg.norm(T_previous[:3, 3])) if not self._keyframes else 0.0
         if nearest is not None:
             turn = rotation_angle(nearest.T_camera_model[:3, :3].T @ T_previous[:3, :3])
-            distance = float(np.median(transform(T_previous, nearest.points)[:, 2])) if len(nearest.points) else nearest.distance
+            distance = float((T_previous[:3, :3] @ nearest.centre + T_previous[:3, 3])[2])
             scale = max(distance / nearest.distance, nearest.distance / distance)
             if turn < c.keyframe_angle and scale < c.keyframe_scale:
                 return
@@ -276,7 +286,7 @@ class ModelTracker:
         crop = np.ascontiguousarray(seen.grey[y0:y1, x0:x1])
         inner = cv2.erode(segmentation.fill(seen.mask.astype(np.float32)), np.ones((5, 5), np.uint8))
         pixels = corners(crop, (inner > 0).astype(np.uint8) * 255, c.corners)
-        smooth, _ = segmentation.surface_normals(seen.depth, seen.window, seen.mask, camera)
+        smooth = segmentation.smoothed(seen.depth, seen.mask)
         if len(pixels):
             at = np.rint(pixels).astype(int)
             z = smooth[np.clip(at[:, 1], 0, smooth.shape[0] - 1), np.clip(at[:, 0], 0, smooth.shape[1] - 1)]
@@ -287,7 +297,9 @@ class ModelTracker:
             return
         in_camera = camera.backproject(pixels[:, 0] + float(x0), pixels[:, 1] + float(y0), z.astype(np.float64))
         points = transform(invert(T_previous), in_camera)
-        self._keyframes.append(_Keyframe(crop, (x0, y0), pixels, points, T_previous, float(np.median(z))))
+        centre = points.mean(axis=0)
+        distance = float((T_previous[:3, :3] @ centre + T_previous[:3, 3])[2])
+        self._keyframes.append(_Keyframe(crop, (x0, y0), pixels, points, T_previous, centre, distance))
         if len(self._keyframes) > MAX_KEYFRAMES:
             del self._keyframes[1]  # the first one carries the least drift and stays
 
@@ -298,7 +310,7 @@ class ModelTracker:
 
         def unlike(k: _Keyframe) -> float:
             turn = rotation_angle(k.T_camera_model[:3, :3].T @ T[:3, :3])
-            distance = float(np.median(transform(T, k.points)[:, 2]))
+            distance = float((T[:3, :3] @ k.centre + T[:3, 3])[2])
             return turn / 0.2 + abs(float(np.log(max(distance, 1e-3) / k.distance))) / 0.2
 
         return min(self._keyframes, key=unlike)
@@ -315,24 +327,30 @@ class ModelTracker:
 
     # boxes
 
-    def _model_box(self, model: Model, T: Array, camera: Intrinsics) -> Box | None:
-        """The projected model's extent, with the border by which the given box differed from it."""
-        found = _projected(model, T, camera)
-        if found is None:
-            return None
-        box, distance = found
-        if self._margin is not None:
-            box = box + self._margin * self._margin_distance / distance
-        return float(box[0]), float(box[1]), float(box[2]), float(box[3])
+    def _learn_rim(self, model: Model, T_previous: Array, camera: Intrinsics) -> None:
+        """By how much the given box exceeds what the model shows of it: cameras give no depth along an object's rim.
 
-    def _set_margin(self, model: Model, T: Array, camera: Intrinsics) -> None:
-        """The person who drew the box and the depth that survives at an object's rim differ by a few pixels; keep that."""
-        found = _projected(model, T, camera)
-        if found is None or self._given is None:
+        Taken anew while the model still fills up and the view has hardly changed, then kept.
+        """
+        self._n_accepted += 1
+        if self._n_accepted == 1:
+            self._T_begun = T_previous
+        if self._n_accepted > RIM_FRAMES or self._begun is None:
             return
-        box, self._margin_distance = found
+        box = projected_box(model.points, self._T_begun, camera, self._begun.plane)
+        if box is None:
+            return
         size = np.array([box[2] - box[0], box[3] - box[1]] * 2)
-        self._margin = np.clip(np.array(self._given) - box, -MARGIN_SHARE * size, MARGIN_SHARE * size)
+        distance = float((self._T_begun[:3, :3] @ model.points.mean(axis=0) + self._T_begun[:3, 3])[2])
+        rim = np.clip(np.array(self._begun.box) - np.array(box), -RIM_SHARE * size, RIM_SHARE * size)
+        self._rim = rim, distance
+
+    def _with_rim(self, box: Box | None, model: Model, T: Array) -> Box | None:
+        if box is None or self._rim is None:
+            return box
+        distance = float((T[:3, :3] @ model.points.mean(axis=0) + T[:3, 3])[2])
+        x0, y0, x1, y1 = (np.array(box) + self._rim[0] * (self._rim[1] / max(distance, 0.05))).tolist()
+        return x0, y0, x1, y1
 
     def _inside(self, box: Box, camera: Intrinsics) -> Box:
         return (
@@ -352,14 +370,27 @@ class ModelTracker:
         return self.config.tracking.min_visible
 
 
-def _projected(model: Model, T: Array, camera: Intrinsics) -> tuple[Array, float] | None:
-    """Extent (4,) px of the projected model without its few farthest points, and its median depth m."""
-    points = transform(T, model.points)
-    points = points[points[:, 2] > 0.05]
-    if len(points) < 10:
+def projected_box(points: Array, T_camera_model: Array, camera: Intrinsics, plane: Plane | None) -> Box | None:
+    """Extent px of the projected model without its few farthest points; None with too few in front of the camera.
+
+    The plane's removal takes the lowest millimetres of what stands on it, so the lowest points also count where their
+    perpendiculars meet the plane.
+    """
+    p = transform(T_camera_model, points)
+    p = p[p[:, 2] > 0.05]
+    if len(p) < 10:
         return None
-    low, high = np.quantile(camera.project(points), [0.003, 0.997], axis=0)
-    return np.array([low[0], low[1], high[0] + 1, high[1] + 1]), float(np.median(points[:, 2]))
+    pixels = camera.project(p)
+    low, high = np.quantile(pixels, [0.003, 0.997], axis=0)
+    if plane is not None:
+        height = plane.height(p)
+        base = p[(height > 0) & (height < BASE_HEIGHT)]
+        base = base - plane.height(base)[:, None] * plane.n
+        base = base[base[:, 2] > 0.05]
+        if len(base) >= 20:
+            low_base, high_base = np.quantile(camera.project(base), [0.01, 0.99], axis=0)
+            low, high = np.minimum(low, low_base), np.maximum(high, high_base)
+    return float(low[0]), float(low[1]), float(high[0] + 1), float(high[1] + 1)
 
 
 def _extent(mask: NDArray[np.bool_], window: Window) -> Box:
