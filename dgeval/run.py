@@ -38,6 +38,7 @@ class TrialResult:
     messages: list[str]
     sha256: str | None
     resumed: bool = False
+    review: dict[str, int] | None = None
 
 
 def file_name(trial: str) -> str:
@@ -85,7 +86,7 @@ def _replay_trial(
     if not force:
         kept = _committed(mark, key, out, name, review)
         if kept is not None:
-            return TrialResult(spec.id, kept["row"], kept["exit_code"], kept["messages"], trial.sha256, resumed=True)
+            return TrialResult(spec.id, kept["row"], kept["exit_code"], kept["messages"], trial.sha256, True, kept["review"])
     mark.unlink(missing_ok=True)
     for folder in ("frames", "models", "review", "trials"):
         (out / folder).mkdir(parents=True, exist_ok=True)
@@ -123,8 +124,7 @@ def _replay_trial(
                 view.add(step)
             if progress is not None:
                 progress(step.frame.index + 1, len(trial.pairs))
-    if view is not None:
-        view.close(out / "review" / f"{name}.rrd")
+    sizes = view.close(out / "review" / f"{name}.rrd") if view is not None else None
     if model is not None:
         _write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
@@ -132,9 +132,9 @@ def _replay_trial(
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
     _write_atomically(
         mark,
-        json.dumps({"key": key, "row": row, "exit_code": exit_code, "messages": messages, "sha256": trial.sha256}, indent=1),
+        json.dumps({"key": key, "row": row, "exit_code": exit_code, "messages": messages, "review": sizes}, indent=1),
     )
-    return TrialResult(spec.id, row, exit_code, messages, trial.sha256)
+    return TrialResult(spec.id, row, exit_code, messages, trial.sha256, review=sizes)
 
 
 def _trial_row(

@@ -108,6 +108,9 @@ def _print_summary(out: Path, results: Any, review: bool) -> None:
         typer.echo(f"  {row['evidence']}")
         if row["notes"]:
             typer.echo(f"  notes: {row['notes']}")
+        if r.review:
+            size = f"{r.review['bytes'] / 1e6:.1f} MB, the colour images alone {r.review['image_bytes'] / 1e6:.1f} MB"
+            typer.echo(f"  review: {size}")
     typer.echo(f"tables: {out}")
     if review and any(r.row for r in results):
         typer.echo(f"look: dgeval view {out} {next(r.id for r in results if r.row)}    dgeval report {out}")

@@ -22,6 +22,11 @@ class Plane:
         """Signed distance m of points (..., 3), positive on the camera's side."""
         return np.asarray(points @ self.n + self.d)
 
+    def moved(self, T_a_b: Array) -> Plane:
+        """This plane, given in frame b, in frame a."""
+        n = T_a_b[:3, :3] @ self.n
+        return Plane(n, self.d - float(n @ T_a_b[:3, 3]), self.support)
+
 
 def fit_plane(points: Array, rng: np.random.Generator, config: PlaneConfig) -> Plane | None:
     """Best plane through points (n, 3) m by seeded hypotheses and two least-squares refinements; None without support."""

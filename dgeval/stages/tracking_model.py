@@ -94,6 +94,7 @@ class ModelTracker:
         self._begun: _Begun | None = None
         self._n_accepted = 0
         self._rim: tuple[Array, float] | None = None
+        self._plane_model: Plane | None = None
 
     def step(self, given: TrackingInput) -> Tracked:
         frame = given.frame
@@ -189,6 +190,10 @@ class ModelTracker:
             return Tracked("lost")
         window = segmentation.grow(guess, 0.3, 12, frame.camera)
         depth, free, plane = self._free(frame, window, guess)
+        if plane is None and self._plane_model is not None:
+            # near the target too little of what it stands on has depth to find the plane anew
+            plane = self._plane_model.moved(T_predicted)
+            depth, free = self._crop(frame, window, plane)
         features = self._follow_features(grey, window, T_predicted, frame.camera)
         T, agree, n_depth, n_features = self._align(depth, window, free, model, features, T_predicted, frame.camera)
         needed = c.min_agree if self._lost_since is None else 0.5 * (1 + c.min_agree)
@@ -206,6 +211,8 @@ class ModelTracker:
         depth, free = self._crop(frame, window, plane)
         mask = segmentation.segment_model(depth, window, free, points, frame.camera, GROWTH_PX)
         self._seen = _Seen(grey, window, mask, depth)
+        if plane is not None:
+            self._plane_model = plane.moved(invert(T))
         inside = self._inside(box, frame.camera)
         return Tracked("tracked", inside, window, mask, int(mask.sum()), T, features, plane)
 

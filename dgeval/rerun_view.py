@@ -1,0 +1,237 @@
+"""The review recording of a trial: a view of the tables, made to be opened at the decisive moment.
+
+All calls into rerun's API stand here: it changes with every release. Images go in as they were recorded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from dgeval.config import Config
+from dgeval.geometry import Array, transform
+from dgeval.recording.description import LinkShape
+from dgeval.recording.trials import Trial
+from dgeval.replay import Step
+from dgeval.stages.self_filter import Hand
+
+TIMELINE = "time"
+# The viewer can't be told a moment to open at, but it opens at the end of a timeline it follows. So what happens up to
+# the decisive moment stands on a second timeline as well, and that one is followed.
+DECISIVE = "up to the decisive moment"
+OBJECT, HAND, GRASP = (240, 170, 40), (120, 130, 145), (60, 180, 90)
+STATES = {"tracked": "tracked", "lost": "lost", "not_started": "not started"}
+
+
+class ReviewWriter:
+    """Writes one trial's `.rrd` frame by frame; `close` adds the blueprint and puts the file in its place."""
+
+    def __init__(self, path: Path, trial: Trial, config: Config) -> None:
+        self._path, self._trial, self._config = path, trial, config
+        self._start_ns = trial.pairs[0][0]
+        self._rec = rr.RecordingStream(
+            "dgeval", recording_id=trial.spec.id, send_properties=False, batcher_config=rr.ChunkBatcherConfig.NEVER()
+        )
+        self._rec.set_log_time_enabled(False)
+        self._rec.set_log_tick_enabled(False)
+        self._rec.save(path)
+        self._state: str | None = None
+        self._model_size = -1
+        self._first_lost_ns: int | None = None
+        self._was_tracked = False
+        self._image_bytes = 0
+        k = trial.camera
+        self._rec.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._rec.log(
+            "world/camera",
+            rr.Pinhole(focal_length=(k.fx, k.fy), principal_point=(k.cx, k.cy), width=k.width, height=k.height,
+                       image_plane_distance=0.12),
+            static=True,
+        )  # fmt: skip
+        for entity, names in SERIES.items():
+            self._rec.log(entity, rr.SeriesLines(names=list(names)), static=True)
+        for event in trial.events:
+            self._at(event.t_ns)
+            self._rec.log("events", rr.TextLog(f"{event.kind} {event.fields or ''}".strip()))
+
+    def _at(self, t_ns: int) -> None:
+        seconds = (t_ns - self._start_ns) * 1e-9
+        self._rec.set_time(TIMELINE, duration=seconds)
+        until = self._trial.event_ns("close") or self._first_lost_ns
+        if until is None or t_ns <= until:
+            self._rec.set_time(DECISIVE, duration=seconds)
+        else:
+            self._rec.disable_timeline(DECISIVE)
+
+    def add(self, step: Step) -> None:
+        """One frame: image with box, mask outline and projected model; the scene; the plots; the phase."""
+        frame, row, rec = step.frame, step.row, self._rec
+        self._at(frame.t_ns)
+        self._log_images(step)
+        T_base_camera = frame.T_base_camera if frame.T_base_camera is not None else np.eye(4)
+        rec.log("world/camera", _transform(T_base_camera))
+        if row["tracking"] != self._state:
+            self._state = row["tracking"]
+            rec.log("phase/tracking", rr.StateChange(state=STATES[row["tracking"]]))
+        if row["tracking"] == "tracked":
+            self._was_tracked = True
+        elif self._was_tracked and self._first_lost_ns is None:
+            self._first_lost_ns = frame.t_ns
+        if frame.hand is not None:
+            self._log_hand(frame.hand, T_base_camera)
+        if step.model is not None and step.T_camera_model is not None:
+            T = T_base_camera @ step.T_camera_model
+            rec.log("world/object", _transform(T))
+            if abs(len(step.model.points) - self._model_size) > 0.05 * max(self._model_size, 1) or frame.index % 30 == 0:
+                self._model_size = len(step.model.points)
+                every = max(1, self._model_size // self._config.review.cloud_points)
+                rec.log("world/object/model", rr.Points3D(step.model.points[::every].astype(np.float32), radii=0.001, colors=OBJECT))
+        if row.get("velocity_x") is not None and row.get("feature_px") is not None:
+            v = [[row["velocity_x"], row["velocity_y"], row["velocity_z"]]]
+            at = [[row["feature_px"], row["feature_py"], row["feature_pz"]]]
+            rec.log("world/velocity", rr.Arrows3D(vectors=v, origins=at, colors=OBJECT, radii=0.002))
+        if row.get("grasp_px") is not None:
+            self._log_axes("world/grasp", row, "grasp", GRASP)
+        if row.get("hand_px") is not None:
+            self._log_axes("world/palm", row, "hand", HAND)
+        for entity, names in SERIES.items():
+            values = [row.get(name) for name in names.values()]
+            if any(v is not None for v in values):
+                rec.log(entity, rr.Scalars([np.nan if v is None else float(v) for v in values]))
+
+    def _log_images(self, step: Step) -> None:
+        frame, row, rec = step.frame, step.row, self._rec
+        image = "world/camera/colour"
+        data = frame.colour_file
+        if data is None:
+            quality = [cv2.IMWRITE_JPEG_QUALITY, self._config.review.jpeg_quality]
+            data = cv2.imencode(".jpg", frame.colour[:, :, ::-1], quality)[1].tobytes()
+        rec.log(image, rr.EncodedImage(contents=data, media_type="image/png" if data[:4] == b"\x89PNG" else "image/jpeg"))
+        self._image_bytes += len(data)
+        if frame.index % self._config.review.depth_every == 0:
+            # half size: depth is here to be looked at, the tables hold the numbers
+            small = np.clip(frame.depth[::2, ::2] * 1000, 0, 65535).astype(np.uint16)
+            png = cv2.imencode(".png", small)[1].tobytes()
+            rec.log("depth", rr.EncodedDepthImage(png, media_type="image/png", meter=1000.0, depth_range=(200, 2000)))
+        if step.tracked.box is None:
+            rec.log(f"{image}/box", rr.Clear(recursive=False))
+            rec.log(f"{image}/mask", rr.Clear(recursive=False))
+            rec.log(f"{image}/model", rr.Clear(recursive=False))
+            return
+        x0, y0, x1, y1 = step.tracked.box
+        colour = OBJECT if not row.get("predicted") else (220, 60, 50)
+        rec.log(f"{image}/box", rr.Boxes2D(array=[x0, y0, x1, y1], array_format=rr.Box2DFormat.XYXY, colors=colour))
+        if step.tracked.mask is not None and step.tracked.window is not None:
+            found = cv2.findContours(step.tracked.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)[0]
+            corner = np.array(step.tracked.window[:2])
+            strips = [np.vstack([c[:, 0], c[:1, 0]]) + corner for c in found if len(c) > 4]
+            rec.log(f"{image}/mask", rr.LineStrips2D(strips, colors=(230, 60, 200), radii=0.7))
+        if step.model is not None and step.T_camera_model is not None:
+            points = transform(step.T_camera_model, step.model.points[:: max(1, len(step.model.points) // 250)])
+            points = points[points[:, 2] > 0.05]
+            rec.log(f"{image}/model", rr.Points2D(frame.camera.project(points).astype(np.float32), colors=(80, 200, 255), radii=0.8))
+
+    def _log_hand(self, hand: Hand, T_base_camera: Array) -> None:
+        for i, (shape, T_camera_shape) in enumerate(hand):
+            entity = f"world/hand/{shape.link}/{i}"
+            if T_base_camera is not None:
+                self._rec.log(entity, _transform(T_base_camera @ T_camera_shape))
+            drawn = _solid(shape)
+            if drawn is not None and not self._drawn(entity):
+                self._rec.log(entity, drawn, static=True)
+
+    def _drawn(self, entity: str) -> bool:
+        seen: set[str] = self.__dict__.setdefault("_seen_entities", set())
+        if entity in seen:
+            return True
+        seen.add(entity)
+        return False
+
+    def _log_axes(self, entity: str, row: dict[str, Any], prefix: str, colour: tuple[int, int, int]) -> None:
+        at = [row[f"{prefix}_p{a}"] for a in "xyz"]
+        q = [row[f"{prefix}_q{a}"] for a in "xyzw"]
+        self._rec.log(entity, rr.Transform3D(translation=at, quaternion=q))
+        if not self._drawn(entity):
+            axes = rr.Arrows3D(vectors=0.05 * np.eye(3), colors=[(220, 60, 60), colour, (60, 90, 220)], radii=0.0015)
+            self._rec.log(f"{entity}/axes", axes, static=True)
+
+    def close(self, path: Path) -> dict[str, int]:
+        """Add the blueprint, write the footer, rename. Gives the file's bytes and those of the images as recorded."""
+        close = self._trial.event_ns("close")
+        if close is not None or self._first_lost_ns is not None:
+            self._at(close or self._first_lost_ns or 0)
+            what = "the hand closes" if close is not None else "the target is lost for the first time"
+            self._rec.log("events", rr.TextLog(f"decisive moment: {what}; timeline `{TIMELINE}` goes on", level="WARN"))
+        self._rec.send_blueprint(_blueprint())
+        self._rec.flush()
+        self._rec.disconnect()
+        os.replace(self._path, path)
+        return {"bytes": path.stat().st_size, "image_bytes": self._image_bytes}
+
+
+SERIES: dict[str, dict[str, str]] = {
+    "plots/error": {"linear, m": "error_linear", "angular, rad": "error_angular"},
+    "plots/velocity": {"v x": "velocity_x", "v y": "velocity_y", "v z": "velocity_z"},
+    "plots/score": {"hand": "hand_score", "grasp": "grasp_score"},
+    "plots/registration": {"gate fitness": "icp_gate_fitness", "fitness": "icp_fitness"},
+}
+
+
+def _blueprint() -> rrb.Blueprint:
+    plots = rrb.Vertical(
+        rrb.TimeSeriesView(origin="plots/error", name="error hand to grasp"),
+        rrb.TimeSeriesView(origin="plots/velocity", name="estimated velocity, m/s"),
+        rrb.TimeSeriesView(origin="plots/score", name="score"),
+        rrb.TimeSeriesView(origin="plots/registration", name="registration"),
+        rrb.StateTimelineView(origin="phase", name="phase"),
+    )
+    images = rrb.Vertical(
+        rrb.Spatial2DView(origin="world/camera", contents=["world/camera/colour/**"], name="colour: box, mask, model"),
+        rrb.Spatial2DView(origin="depth", name="depth"),
+        rrb.TextLogView(origin="events", name="events"),
+        row_shares=[4, 2, 1],
+    )
+    scene = rrb.Spatial3DView(origin="world", contents=["world/**", "- world/camera/colour/**"], name="scene, base frame")
+    return rrb.Blueprint(
+        rrb.Horizontal(images, scene, plots, column_shares=[3, 3, 3]),
+        rrb.TimePanel(timeline=DECISIVE, play_state="following", playback_speed=0.5, state="collapsed"),
+        collapse_panels=True,
+    )
+
+
+def _transform(T: Array) -> rr.Transform3D:
+    return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
+
+
+def _solid(shape: LinkShape) -> Any:
+    """A link's solid in its own frame; None for hulls, whose planes are not drawn."""
+    if shape.kind == "box":
+        return rr.Boxes3D(half_sizes=[shape.size], colors=HAND, fill_mode="solid")
+    if shape.kind == "sphere":
+        return rr.Ellipsoids3D(radii=[shape.size[0]], colors=HAND, fill_mode="solid")
+    if shape.kind == "cylinder":
+        return rr.Cylinders3D(lengths=[2 * shape.size[1]], radii=[shape.size[0]], colors=HAND, fill_mode="solid")
+    if shape.kind == "capsule":
+        half = shape.size[1]
+        return rr.Capsules3D(lengths=[2 * half], radii=[shape.size[0]], translations=[(0, 0, -half)], colors=HAND, fill_mode="solid")
+    return None
+
+
+def content_digest(path: Path) -> str:
+    """SHA-256 over the data of an `.rrd`, without the ids and clocks that rerun draws anew for every file."""
+    from rerun.chunk import RrdReader
+
+    parts = []
+    for chunk in RrdReader(str(path)).stream():
+        batch = chunk.to_record_batch()
+        names = sorted(n for n in batch.schema.names if "RowId" not in n and n != "rerun.controls.RowId")
+        columns = [f"{n}:{batch.column(n).to_pylist()!r}" for n in names]
+        parts.append(f"{chunk.entity_path}|" + "|".join(columns))
+    return hashlib.sha256("\n".join(sorted(parts)).encode()).hexdigest()
