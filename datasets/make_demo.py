@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+from dgeval.geometry import Array, Intrinsics, invert, pose_from_matrix
+
 from raycast import Box, Capsule, Scene, add_noise, printed, render, speckle
 from write_mcap import (
     McapWriter,
@@ -28,8 +30,6 @@ from write_mcap import (
     pose_message,
 )
 
-from dgeval.geometry import Array, Intrinsics, invert, pose_from_matrix
-
 START_NS = 1_780_000_000_000_000_000
 RATE = 15.0
 DURATION = 4.6
@@ -39,6 +39,7 @@ HALF = (0.045, 0.028, 0.035)
 CAMERA = Intrinsics(320, 240, 290.0, 290.0, 160.0, 120.0)
 CAMERA_FRAME = "camera_color_optical_frame"
 MINIMUM_RANGE = 0.17
+DEPTH_TOPIC = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
 FINGERS = {"thumb": (0.05, 0.0, np.pi), "index": (-0.05, 0.022, 0.0), "middle": (-0.05, -0.022, 0.0)}
 PROXIMAL, DISTAL, RADIUS = 0.055, 0.045, 0.009
 
@@ -168,6 +169,9 @@ def make(path: Path) -> None:
     def at(t: float) -> int:
         return START_NS + round(t * 1e9)
 
+    def stamped(t: float, T: Array) -> object:
+        return message("geometry_msgs/PoseStamped", header=header(at(t), "base_link"), pose=pose_message(pose_from_matrix(T)))
+
     add(0, 0, "/robot_description", message("std_msgs/String", data=urdf()))
     for t, event in ((0.0, "trial_start"), (T_CLOSE, "close"), (T_LIFT, "lift"), (DURATION - 0.05, "trial_end")):
         add(t, 1, "/dgeval/events", message("std_msgs/String", data=json.dumps({"event": event})))
@@ -190,18 +194,17 @@ def make(path: Path) -> None:
         colour, millimetres = add_noise(rng, colour, depth, MINIMUM_RANGE)
         add(t, 3, "/camera/color/camera_info", camera_info_message(at(t), CAMERA_FRAME, CAMERA))
         add(t, 4, "/camera/color/image_raw/compressed", jpeg_message(at(t), CAMERA_FRAME, colour, 80))
-        add(t, 5, "/camera/aligned_depth_to_color/image_raw/compressedDepth", compressed_depth_message(at(t), CAMERA_FRAME, millimetres))
+        add(
+            t,
+            5,
+            "/camera/aligned_depth_to_color/image_raw/compressedDepth",
+            compressed_depth_message(at(t), CAMERA_FRAME, millimetres),
+        )
         grasp = object_pose(t) @ T_object_grasp
         near = float(np.linalg.norm(grasp[:3, 3] - hand_pose(joints(t))[:3, 3]))
-        add(
-            t, 6, "/dgeval/belief/grasp",
-            message("geometry_msgs/PoseStamped", header=header(at(t), "base_link"), pose=pose_message(pose_from_matrix(grasp))),
-        )  # fmt: skip
+        add(t, 6, "/dgeval/belief/grasp", stamped(t, grasp))
         add(t, 7, "/dgeval/belief/score", message("std_msgs/Float64", data=float(np.exp(-near / 0.08))))
-        add(
-            t, 8, "/truth/object_pose",
-            message("geometry_msgs/PoseStamped", header=header(at(t), "base_link"), pose=pose_message(pose_from_matrix(object_pose(t)))),
-        )  # fmt: skip
+        add(t, 8, "/truth/object_pose", stamped(t, object_pose(t)))
     with McapWriter(path) as writer:
         for log_ns, _, topic, value in sorted(entries, key=lambda e: (e[0], e[1])):
             writer.write(topic, log_ns, value)

@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
-
 from dgeval.geometry import Array, Intrinsics, depth_sigma, invert
+from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 

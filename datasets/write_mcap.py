@@ -21,7 +21,9 @@ def message(kind: str, /, **fields: Any) -> Any:
 
 
 def header(t_ns: int, frame_id: str) -> Any:
-    return message("std_msgs/Header", stamp=message("builtin_interfaces/Time", sec=t_ns // 10**9, nanosec=t_ns % 10**9), frame_id=frame_id)
+    return message(
+        "std_msgs/Header", stamp=message("builtin_interfaces/Time", sec=t_ns // 10**9, nanosec=t_ns % 10**9), frame_id=frame_id
+    )
 
 
 def pose_message(pose: Any) -> Any:

@@ -7,6 +7,7 @@ with qw >= 0 so that equal rotations have equal numbers.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -113,12 +114,12 @@ class Intrinsics:
         out[:, 1] = self.fy * points[:, 1] / z + self.cy
         return out
 
-    def backproject(self, u: Array, v: Array, z: Array) -> Array:
+    def backproject(self, u: NDArray[Any], v: NDArray[Any], z: Array) -> Array:
         """Pixels and depths (n,) m -> camera points (n, 3) m."""
         return np.stack([(u - self.cx) / self.fx * z, (v - self.cy) / self.fy * z, z], axis=-1)
 
 
-def depth_sigma(z: Array | float) -> Array:
+def depth_sigma(z: NDArray[Any] | float) -> Array:
     """Standard deviation of an RGB-D camera's depth at range z, m.
 
     Nguyen, Izadi, Lovell, 3DIMPVT 2012 (axial noise of the first Kinect): 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2. Active

@@ -180,7 +180,8 @@ def _fuse(
         row["icp_reject_reason"] = "lost" if tracked.state == "lost" else "too_few_points"
     row["predicted"] = not state.accepted
     if state.accepted:
-        assert observation is not None and state.T_camera_model is not None
+        assert observation is not None
+        assert state.T_camera_model is not None
         T_model_camera = invert(state.T_camera_model)
         if registration is not None and state.fusion.model is not None:
             centre = transform(T_model_camera, observation.points).mean(axis=0)

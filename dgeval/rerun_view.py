@@ -6,7 +6,6 @@ All calls into rerun's API stand here: it changes with every release. Images go 
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +91,9 @@ class ReviewWriter:
             if abs(len(step.model.points) - self._model_size) > 0.05 * max(self._model_size, 1) or frame.index % 30 == 0:
                 self._model_size = len(step.model.points)
                 every = max(1, self._model_size // self._config.review.cloud_points)
-                rec.log("world/object/model", rr.Points3D(step.model.points[::every].astype(np.float32), radii=0.001, colors=OBJECT))
+                rec.log(
+                    "world/object/model", rr.Points3D(step.model.points[::every].astype(np.float32), radii=0.001, colors=OBJECT)
+                )
         if row.get("velocity_x") is not None and row.get("feature_px") is not None:
             v = [[row["velocity_x"], row["velocity_y"], row["velocity_z"]]]
             at = [[row["feature_px"], row["feature_py"], row["feature_pz"]]]
@@ -136,13 +137,14 @@ class ReviewWriter:
         if step.model is not None and step.T_camera_model is not None:
             points = transform(step.T_camera_model, step.model.points[:: max(1, len(step.model.points) // 250)])
             points = points[points[:, 2] > 0.05]
-            rec.log(f"{image}/model", rr.Points2D(frame.camera.project(points).astype(np.float32), colors=(80, 200, 255), radii=0.8))
+            rec.log(
+                f"{image}/model", rr.Points2D(frame.camera.project(points).astype(np.float32), colors=(80, 200, 255), radii=0.8)
+            )
 
     def _log_hand(self, hand: Hand, T_base_camera: Array) -> None:
         for i, (shape, T_camera_shape) in enumerate(hand):
             entity = f"world/hand/{shape.link}/{i}"
-            if T_base_camera is not None:
-                self._rec.log(entity, _transform(T_base_camera @ T_camera_shape))
+            self._rec.log(entity, _transform(T_base_camera @ T_camera_shape))
             drawn = _solid(shape)
             if drawn is not None and not self._drawn(entity):
                 self._rec.log(entity, drawn, static=True)
@@ -172,7 +174,7 @@ class ReviewWriter:
         self._rec.send_blueprint(_blueprint())
         self._rec.flush()
         self._rec.disconnect()
-        os.replace(self._path, path)
+        self._path.replace(path)
         return {"bytes": path.stat().st_size, "image_bytes": self._image_bytes}
 
 
@@ -220,7 +222,9 @@ def _solid(shape: LinkShape) -> Any:
         return rr.Cylinders3D(lengths=[2 * shape.size[1]], radii=[shape.size[0]], colors=HAND, fill_mode="solid")
     if shape.kind == "capsule":
         half = shape.size[1]
-        return rr.Capsules3D(lengths=[2 * half], radii=[shape.size[0]], translations=[(0, 0, -half)], colors=HAND, fill_mode="solid")
+        return rr.Capsules3D(
+            lengths=[2 * half], radii=[shape.size[0]], translations=[(0, 0, -half)], colors=HAND, fill_mode="solid"
+        )
     return None
 
 

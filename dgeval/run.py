@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import traceback
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -26,6 +25,8 @@ from dgeval.schema import FRAMES, FRAMES_ADDED, SCHEMA_VERSION, TIMINGS, TRIALS,
 from dgeval.verdict.outcome import stated_outcome
 
 ROWS_PER_GROUP = 500
+# Makes the object that writes a trial's review recording: add(step) per frame, close(path) at the end.
+ReviewFactory = Callable[[Path, Trial, Config], Any]
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def replay_trial(
     spec: TrialSpec,
     config: Config,
     out: Path,
-    review: bool,
+    review: ReviewFactory | None,
     force: bool,
     progress: Callable[[int, int], None] | None = None,
 ) -> TrialResult:
@@ -77,25 +78,26 @@ def replay_trial(
 
 
 def _replay_trial(
-    spec: TrialSpec, config: Config, out: Path, review: bool, force: bool, progress: Callable[[int, int], None] | None
+    spec: TrialSpec,
+    config: Config,
+    out: Path,
+    review: ReviewFactory | None,
+    force: bool,
+    progress: Callable[[int, int], None] | None,
 ) -> TrialResult:
     trial = open_trial(spec, config)
     key = resume_key(spec, config, trial.sha256)
     name = file_name(spec.id)
     mark = out / "trials" / f"{name}.json"
     if not force:
-        kept = _committed(mark, key, out, name, review)
+        kept = _committed(mark, key, out, name, review is not None)
         if kept is not None:
             return TrialResult(spec.id, kept["row"], kept["exit_code"], kept["messages"], trial.sha256, True, kept["review"])
     mark.unlink(missing_ok=True)
     for folder in ("frames", "models", "review", "trials"):
         (out / folder).mkdir(parents=True, exist_ok=True)
 
-    view = None
-    if review:
-        from dgeval.rerun_view import ReviewWriter
-
-        view = ReviewWriter(out / "review" / f"{name}.rrd.part", trial, config)
+    view = review(out / "review" / f"{name}.rrd.part", trial, config) if review is not None else None
     digests = StageDigests()
     counts = dict.fromkeys(("frames", "lost", "predicted", "no_depth"), 0)
     t_execute_ns = None
@@ -266,7 +268,7 @@ class _Table:
             self._flush()
         self._writer.close()
         if kind is None:
-            os.replace(self._part, self._path)
+            self._part.replace(self._path)
         else:
             self._part.unlink(missing_ok=True)
 
@@ -274,14 +276,14 @@ class _Table:
 def _write_table(path: Path, table: Any) -> None:
     part = path.with_name(path.name + ".part")
     pq.write_table(table, part, compression="zstd")
-    os.replace(part, path)
+    part.replace(path)
 
 
 def _write_atomically(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
+    part.replace(path)
 
 
 def _write_ply(path: Path, points: Any, normals: Any) -> None:
@@ -290,4 +292,4 @@ def _write_ply(path: Path, points: Any, normals: Any) -> None:
     head += "".join(f"property float {n}\n" for n in ("x", "y", "z", "nx", "ny", "nz")) + "end_header\n"
     part = path.with_name(path.name + ".part")
     part.write_bytes(head.encode() + np.hstack([points, normals]).astype("<f4").tobytes())
-    os.replace(part, path)
+    part.replace(path)

@@ -66,8 +66,14 @@ FRAMES: tuple[Column, ...] = (
 )
 # Logged beside version 1; in no digest until the schema's version moves.
 FRAMES_ADDED: tuple[Column, ...] = (
-    Column("nis", "float", "", "normalised innovation squared of the velocity filter's update, 3 degrees of freedom", "estimation"),
-    Column("residual_translation", "float", "m", "motion of the centred clouds, the gate's other reading (PAPERS A3)", "registration"),
+    Column("nis", "float", "", "normalised innovation squared of the velocity update, 3 degrees of freedom", "estimation"),
+    Column(
+        "residual_translation",
+        "float",
+        "m",
+        "motion of the centred clouds, the other reading of A3",
+        "registration",
+    ),
     Column("n_features", "int", "", "image features followed on the target", "tracking"),
 )
 STAGES: tuple[str, ...] = ("input", "tracking", "registration", "fusion", "estimation", "grasps", "servo", "execution")
@@ -122,9 +128,7 @@ class StageDigests:
     """SHA-256 per stage over its version-1 frame columns, fed row by row."""
 
     def __init__(self) -> None:
-        self._stages = {
-            stage: ColumnDigest({c.name: c.kind for c in FRAMES if c.stage == stage}) for stage in STAGES
-        }
+        self._stages = {stage: ColumnDigest({c.name: c.kind for c in FRAMES if c.stage == stage}) for stage in STAGES}
 
     def add(self, row: Mapping[str, Any]) -> None:
         for digest in self._stages.values():

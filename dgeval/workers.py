@@ -12,14 +12,14 @@ from dgeval.config import Config
 from dgeval.determinism import set_thread_variables
 from dgeval.errors import EXIT_INTERNAL
 from dgeval.recording.trials import TrialSpec
-from dgeval.run import TrialResult, replay_trial
+from dgeval.run import ReviewFactory, TrialResult, replay_trial
 
 
 def replay_trials(
     specs: list[TrialSpec],
     config: Config,
     out: Path,
-    review: bool,
+    review: ReviewFactory | None,
     force: bool,
     jobs: int,
     on_result: Callable[[TrialResult], None],

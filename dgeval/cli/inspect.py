@@ -57,8 +57,9 @@ def _print(found: dict[str, Any]) -> None:
     timing = found["timing"]
     if timing:
         typer.echo(
-            f"pairs: {timing['pairs']} within {timing['tolerance_s'] * 1e3:.1f} ms, unmatched {timing['unmatched_colour']} colour"
-            f" and {timing['unmatched_depth']} depth; skew median {timing.get('skew_median_s', 0) * 1e3:+.2f} ms,"
+            f"pairs: {timing['pairs']} within {timing['tolerance_s'] * 1e3:.1f} ms, unmatched"
+            f" {timing['unmatched_colour']} colour and {timing['unmatched_depth']} depth; skew median"
+            f" {timing.get('skew_median_s', 0) * 1e3:+.2f} ms,"
             f" largest {timing.get('skew_largest_s', 0) * 1e3:.2f} ms"
         )
         for role in ("colour", "depth"):
@@ -73,4 +74,5 @@ def _print(found: dict[str, Any]) -> None:
         typer.echo(f"note: {note}")
     typer.echo("can it be told …")
     for a in found["answers"]:
-        typer.echo(f"  {'yes' if a['can'] else 'no '}  {a['question']}" + (f": missing {', '.join(a['missing'])}" if a["missing"] else ""))
+        missing = f": missing {', '.join(a['missing'])}" if a["missing"] else ""
+        typer.echo(f"  {'yes' if a['can'] else 'no '}  {a['question']}{missing}")

@@ -57,11 +57,18 @@ def replay(
         for message in result.messages:
             typer.echo(f"{result.id}: {message}", err=True)
 
+    writer = None
+    if review:
+        from dgeval.rerun_view import ReviewWriter
+
+        writer = ReviewWriter
     with _progress(len(specs)) as bar:
-        results = replay_trials(specs, config, out, review, force, jobs, on_result=_both(on_result, bar.trial), progress=bar.frame)
+        results = replay_trials(
+            specs, config, out, writer, force, jobs, on_result=_both(on_result, bar.trial), progress=bar.frame
+        )
     code = finish_run(out, results, config)
     if check_determinism:
-        _check(specs, config, out, jobs, results)
+        _check(specs, config, jobs, results)
     if json_:
         print_json(
             {
@@ -75,7 +82,7 @@ def replay(
     raise typer.Exit(code)
 
 
-def _check(specs: Any, config: Any, out: Path, jobs: int, results: Any) -> None:
+def _check(specs: Any, config: Any, jobs: int, results: Any) -> None:
     """Replay once more into a temporary folder, in processes of their own, and compare stage by stage."""
     import tempfile
 
@@ -84,7 +91,7 @@ def _check(specs: Any, config: Any, out: Path, jobs: int, results: Any) -> None:
     from dgeval.workers import replay_trials
 
     with tempfile.TemporaryDirectory() as folder:
-        again = replay_trials(specs, config, Path(folder), False, True, jobs, on_result=lambda _: None)
+        again = replay_trials(specs, config, Path(folder), None, True, jobs, on_result=lambda _: None)
     for first, second in zip(results, again, strict=True):
         if (first.row is None) != (second.row is None):
             raise NotDeterministicError(f"trial {first.id} could be replayed once only")

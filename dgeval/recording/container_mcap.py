@@ -163,7 +163,11 @@ class McapContainer:
             # Some writers open one topic twice; both carry the same type, and the counts add up.
             count = None if count is None or before.count is None else count + before.count
         self.topics[channel.topic] = Topic(
-            channel.topic, name or "?", channel.message_encoding, count, decode or _refuse(why, self._place(topic=channel.topic))
+            channel.topic,
+            name or "?",
+            channel.message_encoding,
+            count,
+            decode or _refuse(why, self._place(topic=channel.topic)),
         )
 
     def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]:

@@ -45,9 +45,11 @@ class Container(Protocol):
 
     path: Path
     kind: str
-    checksums: str
     topics: dict[str, Topic]
     damage: list[Damage]
+
+    @property
+    def checksums(self) -> str: ...
 
     def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]: ...
 
@@ -117,8 +119,7 @@ def open_container(path: Path) -> Opened:
             if not inside:
                 raise UnreadableError("a folder without a .mcap or .db3 file is not a ROS 2 recording", place)
             if any(p.suffix == ".mcap" for p in inside):
-                hint = "give the parts as a manifest"
-                raise UnreadableError(f"{len(inside)} recordings in one folder", place, hint)
+                raise UnreadableError(f"{len(inside)} recordings in one folder", place, "give the parts as a manifest")
             return Opened(RosbagsContainer(path), path)
         with path.open("rb") as stream:
             head = stream.read(16)
@@ -130,7 +131,7 @@ def open_container(path: Path) -> Opened:
             return Opened(RosbagsContainer(path), path)
     except OSError as error:
         raise UnreadableError(f"can't be opened ({error.strerror})", place) from error
-    hint = None
+    hint: str | None = None
     if head.startswith(b"version https://"):
         hint = "this is a git-LFS pointer, not the recording: run `git lfs pull`"
     elif head.lstrip()[:1] == b"<":

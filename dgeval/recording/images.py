@@ -22,7 +22,8 @@ def decode_image(message: Any) -> Pixels:
     """Pixels of any supported image message; ValueError names what is wrong."""
     for codec in CODECS:
         if codec.accepts(message):
-            return codec.decode(message)
+            pixels: Pixels = codec.decode(message)
+            return pixels
     raise ValueError("not an image message")
 
 

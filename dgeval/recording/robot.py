@@ -11,7 +11,7 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.errors import Place, UsageError
 from dgeval.geometry import Array, matrix_from_pose
-from dgeval.recording.description import Description, LinkShape, load_description
+from dgeval.recording.description import Description, Joint, LinkShape, load_description
 from dgeval.recording.messages import JointSample
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
@@ -79,7 +79,7 @@ class RobotStates:
         """The hand's solids with T_camera_shape; None where a link's pose is not known at this time."""
         if self.description is None or not self.hand_links:
             return None
-        out = []
+        out: list[tuple[LinkShape, Array]] = []
         for link in self.hand_links:
             T = self.tree.lookup(self.camera_frame, link, t_ns)
             if T is None:
@@ -114,7 +114,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     if tree.parent(camera) is None and roles.camera_pose:
         for pose in scan.poses[roles.camera_pose]:
             tree.add_moving(pose.t_ns + offset, pose.parent or "base", camera, pose.pose)
-    palm = _palm(scan, roles, config, tree, camera, description)
+    palm = _palm(scan, roles, config, tree)
     base = config.frames.base
     if base is None and tree.parent(camera) is not None:
         chain = tree.ancestors(camera)
@@ -152,16 +152,14 @@ def _add_joints(tree: TransformTree, description: Description, track: JointTrack
                 tree.add_static(joint.parent, child, joint.origin)
             continue
 
-        def edge(t_ns: int, joint: object = joint) -> Array | None:
-            q = track.at(joint.follows, t_ns, max_gap_ns)  # type: ignore[attr-defined]
-            return None if q is None else joint.at(q)  # type: ignore[attr-defined,no-any-return]
+        def edge(t_ns: int, joint: Joint = joint) -> Array | None:
+            q = track.at(joint.follows, t_ns, max_gap_ns)
+            return None if q is None else joint.at(q)
 
         tree.computed[child] = (joint.parent, edge)
 
 
-def _palm(
-    scan: Scan, roles: Roles, config: Config, tree: TransformTree, camera: str, description: Description | None
-) -> str | None:
+def _palm(scan: Scan, roles: Roles, config: Config, tree: TransformTree) -> str | None:
     frames = tree.frames()
     if config.frames.palm is not None:
         if config.frames.palm not in frames:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
+from os.path import commonpath
 
 from dgeval.config import RolesConfig
 from dgeval.errors import Place, UsageError
@@ -62,7 +62,7 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
     )
     intrinsics = config.intrinsics
     if intrinsics is None and colour is not None:
-        near = sorted(scan.cameras, key=lambda n: (-len(os.path.commonprefix([n, colour])), n))
+        near = sorted(scan.cameras, key=lambda n: (-len(commonpath([n, colour])), n))
         intrinsics = near[0] if near else None
     joints = config.hand_joints or choose(
         "hand_joints",

@@ -215,12 +215,12 @@ class Trial:
             colour = colour_from(decode_image(decoded))
             depth = depth_from(decode_image(self.opened.decode(depth_message)), self.config.calibration.depth_scale)
         except (UndecodableError, ValueError) as error:
-            self._lose(index, t_ns, str(error))
+            self._lose(t_ns, str(error))
             return None
         size = (self.camera.height, self.camera.width)
         if colour.shape[:2] != size or depth.shape != size:
             what = f"colour {colour.shape[1]}x{colour.shape[0]}, depth {depth.shape[1]}x{depth.shape[0]}, intrinsics "
-            self._lose(index, t_ns, f"{what}{size[1]}x{size[0]}: not the same size")
+            self._lose(t_ns, f"{what}{size[1]}x{size[0]}: not the same size")
             return None
         if self.static_mask is not None:
             depth[self.static_mask > 0] = 0.0
@@ -239,7 +239,7 @@ class Trial:
             bytes(memoryview(decoded.data)) if hasattr(decoded, "format") else None,
         )
 
-    def _lose(self, index: int, t_ns: int, why: str) -> None:
+    def _lose(self, t_ns: int, why: str) -> None:
         self.n_undecodable_frames += 1
         if self.n_undecodable_frames == 1:
             place = Place(str(self.spec.recording), t_ns=t_ns)

@@ -43,9 +43,7 @@ def feature_normal_equations(points: Array, pixels: Array, camera: Intrinsics, c
     zero = np.zeros_like(x)
     Ju = np.stack([camera.fx / z, zero, -camera.fx * x / z**2], axis=1)
     Jv = np.stack([zero, camera.fy / z, -camera.fy * y / z**2], axis=1)
-    J = np.concatenate(
-        [np.concatenate([Ju, cross(points, Ju)], axis=1), np.concatenate([Jv, cross(points, Jv)], axis=1)]
-    )
+    J = np.concatenate([np.concatenate([Ju, cross(points, Ju)], axis=1), np.concatenate([Jv, cross(points, Jv)], axis=1)])
     w = np.concatenate([weight, weight])
     weighted = J * w[:, None]
     return weighted.T @ J, weighted.T @ np.concatenate([residual[:, 0], residual[:, 1]]), int(np.count_nonzero(weight))

@@ -77,7 +77,7 @@ class VelocityFilter:
 
     def ahead(self, t_ns: int) -> Array:
         """Where the feature point will have moved by t_ns since the last step (3,) m, base frame."""
-        if self._filter is None or self.config.loss_policy == "zero" and self._t_ns != self._accepted_ns:
+        if self._filter is None or (self.config.loss_policy == "zero" and self._t_ns != self._accepted_ns):
             return np.zeros(3)
         return np.asarray(self._filter.x[3:, 0] * max(0.0, (t_ns - self._t_ns) * 1e-9))
 

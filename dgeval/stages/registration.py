@@ -81,9 +81,7 @@ def align_kiss_icp(source: Array, target: Model, T_init: Array, config: Registra
     voxels = VoxelHashMap(voxel_size=0.005, max_distance=10.0, max_points_per_voxel=20)
     voxels.add_points(target.points)
     registration = KissRegistration(max_num_iterations=50, convergence_criterion=1e-5, max_num_threads=1)
-    return np.asarray(
-        registration.align_points_to_map(source, voxels, T_init, config.search_radius, config.search_radius / 3)
-    )
+    return np.asarray(registration.align_points_to_map(source, voxels, T_init, config.search_radius, config.search_radius / 3))
 
 
 BACKENDS: dict[str, Backend] = {

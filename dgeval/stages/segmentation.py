@@ -52,7 +52,12 @@ def surrounding_plane(
     if not config.enabled:
         return None
     around = (depth > 0) & ~blocked
-    x0, y0, x1, y1 = (int(inner[0]) - window[0], int(inner[1]) - window[1], int(inner[2]) - window[0], int(inner[3]) - window[1])
+    x0, y0, x1, y1 = (
+        int(inner[0]) - window[0],
+        int(inner[1]) - window[1],
+        int(inner[2]) - window[0],
+        int(inner[3]) - window[1],
+    )
     around[max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = False
     v, u = np.nonzero(around)
     step = max(1, len(v) // 600)
@@ -65,10 +70,12 @@ def height_map(depth: NDArray[np.float32], window: Window, camera: Intrinsics, p
     """Height m over the plane of every pixel of a window (meaningless where depth is 0)."""
     u = plane.n[0] * (np.arange(window[0], window[2]) - camera.cx) / camera.fx
     v = plane.n[1] * (np.arange(window[1], window[3]) - camera.cy) / camera.fy + plane.n[2]
-    return depth * (u[None, :] + v[:, None]).astype(np.float32) + np.float32(plane.d)
+    return np.asarray(depth * (u[None, :] + v[:, None]).astype(np.float32) + np.float32(plane.d), dtype=np.float32)
 
 
-def above_plane(depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane | None, config: PlaneConfig) -> Mask:
+def above_plane(
+    depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane | None, config: PlaneConfig
+) -> Mask:
     """Pixels with depth that stand clear of the plane on the camera's side."""
     valid: Mask = depth > 0
     if plane is None:
@@ -119,7 +126,9 @@ def segment_box(depth: NDArray[np.float32], window: Window, free: Mask, box: Box
     return np.asarray((chosen | rim) & free & inside)
 
 
-def segment_model(depth: NDArray[np.float32], window: Window, free: Mask, points: Array, camera: Intrinsics, reach: int) -> Mask:
+def segment_model(
+    depth: NDArray[np.float32], window: Window, free: Mask, points: Array, camera: Intrinsics, reach: int
+) -> Mask:
     """The target's pixels by its model at the estimated pose: near its silhouette (px) and close to it in depth.
 
     `points` (n, 3) are the model's in the camera frame. What reaches beyond the silhouette must hang together with it.
@@ -164,7 +173,9 @@ def smoothed(depth: NDArray[np.float32], mask: Mask) -> NDArray[np.float32]:
     return np.where(total > 0.15, smooth / np.maximum(total, np.float32(1e-6)), np.float32(0.0))
 
 
-def normals_at(smooth: NDArray[np.float32], window: Window, v: NDArray[np.intp], u: NDArray[np.intp], camera: Intrinsics) -> Array:
+def normals_at(
+    smooth: NDArray[np.float32], window: Window, v: NDArray[np.intp], u: NDArray[np.intp], camera: Intrinsics
+) -> Array:
     """Unit normals (n, 3) towards the camera at pixels of a smoothed window; zero where a neighbour has no depth or a step."""
     step = 2
     height, width = smooth.shape

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from dgeval.geometry import Array
 
 Grey = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
-LK = {
+LK: dict[str, Any] = {
     "winSize": (13, 13),
     "maxLevel": 2,
     "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 0.02),

@@ -216,9 +216,7 @@ class ModelTracker:
         inside = self._inside(box, frame.camera)
         return Tracked("tracked", inside, window, mask, int(mask.sum()), T, features, plane)
 
-    def _crop(
-        self, frame: Frame, window: Window, plane: Plane | None
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _crop(self, frame: Frame, window: Window, plane: Plane | None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """As `_free`, with the plane already known."""
         depth = frame.depth[window[1] : window[3], window[0] : window[2]]
         free = segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane)
@@ -402,7 +400,12 @@ def projected_box(points: Array, T_camera_model: Array, camera: Intrinsics, plan
 
 def _extent(mask: NDArray[np.bool_], window: Window) -> Box:
     v, u = np.nonzero(mask)
-    return float(u.min() + window[0]), float(v.min() + window[1]), float(u.max() + 1 + window[0]), float(v.max() + 1 + window[1])
+    return (
+        float(u.min() + window[0]),
+        float(v.min() + window[1]),
+        float(u.max() + 1 + window[0]),
+        float(v.max() + 1 + window[1]),
+    )
 
 
 def _overlap(a: Box, b: Box) -> float:

@@ -1,0 +1,86 @@
+"""Plots of a trial over time, in the manner of the papers' Figures 4 and 5."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pandas as pd
+
+matplotlib.use("Agg")
+
+from matplotlib.figure import Figure
+
+COLOURS = ("#1f77b4", "#d95f02", "#2a9d5c", "#7b5ea7")
+STYLE = {
+    "font.family": "DejaVu Sans", "font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False,
+    "axes.grid": True, "grid.alpha": 0.25, "legend.frameon": False, "legend.fontsize": 8, "svg.hashsalt": "dgeval",
+}  # fmt: skip
+
+
+def trial_figure(frames: pd.DataFrame, events: dict[str, int | None]) -> Figure:
+    """Errors, estimated velocity, scores and fitness over seconds; loss and blind stretches shaded, events as lines."""
+    start = int(frames["t_ns"].iloc[0])
+    t = (frames["t_ns"] - start).to_numpy() * 1e-9
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 5.2), layout="constrained")
+        axes = figure.subplots(3, 1, sharex=True)
+        _lines(axes[0], t, frames, {"error_linear": "lin. error [m]", "error_angular": "rot. error [rad]"})
+        axes[0].set_ylabel("hand to grasp")
+        velocity = {f"velocity_{a}": f"est. velocity {a}" for a in "xyz"}
+        _lines(axes[1], t, frames, velocity)
+        if frames["velocity_sd"].notna().any():
+            speed = np.sqrt((frames[list(velocity)] ** 2).sum(axis=1, skipna=False)).to_numpy()
+            axes[1].plot(t, speed, color="#222", lw=1.2, label="speed")
+            axes[1].legend(loc="upper left", ncols=4)
+        axes[1].set_ylabel("m/s, base frame")
+        scores = {"hand_score": "success pred. (state)", "grasp_score": "success pred. (grasp)"}
+        _lines(axes[2], t, frames, {**scores, "icp_gate_fitness": "gate fitness"})
+        axes[2].set_ylim(-0.03, 1.05)
+        axes[2].set_ylabel("score")
+        axes[2].set_xlabel("time [s]")
+        lost = (frames["tracking"] == "lost").to_numpy()
+        blind = frames["predicted"].fillna(False).to_numpy(dtype=bool) & ~lost
+        for axis in axes:
+            _shade(axis, t, blind, "#f4d9a8")
+            _shade(axis, t, lost, "#f0b7b2")
+            for name, t_ns in events.items():
+                if t_ns is not None:
+                    axis.axvline((t_ns - start) * 1e-9, color="#333", lw=0.9, ls="--")
+                    if axis is axes[0]:
+                        axis.annotate(
+                            name, ((t_ns - start) * 1e-9, 1.0), xycoords=("data", "axes fraction"), fontsize=8, ha="center"
+                        )
+    return figure
+
+
+def _lines(axis: Any, t: Any, frames: pd.DataFrame, columns: dict[str, str]) -> None:
+    drawn = False
+    for colour, (column, label) in zip(COLOURS, columns.items(), strict=False):
+        values = frames[column].to_numpy(dtype=float)
+        if np.isfinite(values).any():
+            axis.plot(t, values, color=colour, lw=1.3, label=label)
+            drawn = True
+    if drawn:
+        axis.legend(loc="best", ncols=len(columns))
+    else:
+        axis.text(0.5, 0.5, "nothing recorded or computed", transform=axis.transAxes, ha="center", va="center", color="#888")
+
+
+def _shade(axis: Any, t: Any, mask: Any, colour: str) -> None:
+    if not len(t):
+        return
+    half = float(np.median(np.diff(t))) / 2 if len(t) > 1 else 0.02
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        axis.axvspan(t[a] - half, t[b - 1] + half, color=colour, alpha=0.55, lw=0)
+
+
+def as_data_uri(figure: Figure) -> str:
+    """PNG inside the HTML file, so that it needs nothing beside it."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -1,0 +1,224 @@
+"""The damage campaign: every container through every mutation, each in a child with limits, counted in a Markdown table.
+
+Catches what the slice in test_damage.py is too small to find: a reader that gives wrong or fewer messages in silence,
+foreign exceptions, hangs, memory out of proportion, tracebacks and wrong exit codes of the command line.
+
+    python tests/soak/damage_campaign.py --seeds 200 --out damage.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import dgeval.recording.inspection
+import dgeval.run
+import dgeval.workers  # noqa: F401
+from dgeval.cli import app  # noqa: F401
+
+import damage as d
+
+PEAK_MB = 1024  # more resident memory than this, over what the campaign itself holds, is a violation
+
+
+class Report:
+    """Counts by container and mutation, and every violation with how to make it."""
+
+    def __init__(self) -> None:
+        self.counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
+        self.violations: list[str] = []
+        self.samples: dict[tuple[str, str, str], str] = {}
+        self.slowest = (0.0, "")
+        self.largest = (0.0, "")
+
+    def add(self, container: str, row: str, detail: str, outcome: d.Outcome) -> None:
+        self.counts[container, row][outcome.kind] += 1
+        name = f"{container} / {row} / {detail}"
+        if outcome.kind == d.VIOLATION:
+            self.violations.append(f"{name}: {outcome.detail}")
+        self.samples.setdefault((container, row, outcome.kind), f"{detail}: {outcome.detail}")
+        self.slowest = max(self.slowest, (outcome.seconds, name))
+        self.largest = max(self.largest, (outcome.peak_mb, name))
+
+    def by_signature(self) -> str:
+        """Violations that differ in numbers only, counted, with the first of each."""
+        groups: dict[str, list[str]] = defaultdict(list)
+        for line in self.violations:
+            groups[re.sub(r"[0-9]+", "N", line.split(": ", 1)[1] if " / " in line else line)[:90]].append(line)
+        return "\n".join(f"{len(v):4d}  {v[0][:600]}" for v in sorted(groups.values(), key=len, reverse=True))
+
+    def table(self, containers: set[str] | None = None) -> str:
+        kinds = [
+            k for k in (*d.OUTCOMES, "exit 0", "exit 2", "exit 3", d.STDOUT_ONLY) if any(c[k] for c in self.counts.values())
+        ]
+        lines = ["| container | mutation | " + " | ".join(kinds) + " |", "|---|---|" + "---:|" * len(kinds)]
+        total: Counter[str] = Counter()
+        for (container, row), count in sorted(self.counts.items()):
+            if containers is None or container in containers:
+                lines.append(f"| {container} | {row} | " + " | ".join(str(count[k] or "") for k in kinds) + " |")
+                total += count
+        lines.append("| **all** | | " + " | ".join(f"**{total[k]}**" for k in kinds) + " |")
+        return "\n".join(lines)
+
+
+def damage_bytes(report: Report, kinds: list[d.Kind], seeds: int, cli_every: int, scratch: Path) -> None:
+    """Mutations of bytes: the reader on all, the command line on every n-th of each row."""
+    for kind in kinds:
+        good = d.make_good(kind, _fresh(scratch, kind.name.replace(" ", "-").replace(",", "")))
+        met: Counter[str] = Counter()
+        for case in d.cases(good, seeds):
+            folder = _fresh(scratch, "case")
+            path = d.place_case(good, case, folder)
+            outcome = d.in_child(lambda p=path, g=good: d.read_outcome(p, g.messages, g.kind.checked))
+            report.add(kind.name, case.mutation, case.detail, outcome)
+            met[case.mutation] += 1
+            if met[case.mutation] % cli_every == 1 or cli_every == 1:
+                _through_cli(report, kind, case, path, outcome, scratch)
+        print(f"{kind.name}: {sum(met.values())} cases", file=sys.stderr, flush=True)
+
+
+def _through_cli(report: Report, kind: d.Kind, case: d.Case, path: Path, outcome: d.Outcome, scratch: Path) -> None:
+    intact: bool | None = None
+    if outcome.kind in (d.COMPLETE_SAID, d.PREFIX, d.ERROR):
+        intact = False
+    elif outcome.kind == d.COMPLETE:
+        intact = True
+    elif outcome.kind == d.VIOLATION:
+        intact = None
+    for command in ("inspect", "replay"):
+        result = d.in_child(lambda c=command: _cli(c, path, intact, scratch), seconds=60, extra_mb=3000)
+        report.add(f"cli {command}, {kind.layout}", case.mutation, f"{kind.name}, {case.detail}", result)
+
+
+def _cli(command: str, path: Path, intact: bool | None, scratch: Path) -> d.Outcome:
+    out = _fresh(scratch, "run")
+    arguments = [command, str(path)]
+    if command == "replay":
+        arguments += ["--bbox", "10,10,40,40", "--out", str(out), "--no-review"]
+    return d.judge_cli(*d.run_cli(arguments), path.name, intact)
+
+
+def bombs(report: Report, scratch: Path) -> None:
+    """A chunk that claims 1000 bytes and expands to 1.75 GB."""
+    for compression in ("zstd", "lz4"):
+        path = _fresh(scratch, "bomb") / "bomb.mcap"
+        path.write_bytes(d.bomb(compression, 7 << 28))
+        outcome = d.in_child(lambda p=path: d.read_outcome(p, [], True), extra_mb=6000)
+        if outcome.kind != d.VIOLATION and outcome.peak_mb > PEAK_MB:
+            outcome.detail = f"{outcome.peak_mb:.0f} MB resident for a file of {path.stat().st_size} bytes; {outcome.detail}"
+            outcome.kind = d.VIOLATION
+        report.add(f"mcap {compression}", "bomb", "1000 bytes claimed, 1.75 GiB inside", outcome)
+
+
+def contents(report: Report, containers: tuple[str, ...], scratch: Path) -> list[str]:
+    """Wrong contents in intact files, through the command line; one line each with exit code and message."""
+    lines = []
+    for container in containers:
+        for case in d.SEMANTIC:
+            folder = _fresh(scratch, "case")
+            try:
+                path = d.write_semantic(case, container, folder)
+            except Exception as error:  # a value that this container can't hold
+                lines.append(f"| {container} | {case.name} | not writable: {type(error).__name__} | |")
+                continue
+            for command in ("inspect", "replay"):
+                outcome = d.in_child(
+                    lambda k=case, p=path, c=command: d.semantic_outcome(k, p, c, _fresh(scratch, "run")),
+                    seconds=60,
+                    extra_mb=3000,
+                )
+                report.add(f"contents {command}, {container}", "contents", case.name, outcome)
+                said = (outcome.lines[1:] or [""])[-1].replace("|", "/").replace(str(scratch), "…")[:220]
+                mark = "**VIOLATION** " if outcome.kind == d.VIOLATION else ""
+                lines.append(f"| {container} | {case.name} | {command} {mark}{(outcome.lines or ['-'])[0]} | {said} |")
+    return lines
+
+
+def real_processes(report: Report, kinds: list[d.Kind], scratch: Path) -> None:
+    """A few cases through `python -m dgeval` itself, so that the in-process command line is known to tell the truth."""
+    for kind in kinds:
+        good = d.make_good(kind, _fresh(scratch, "real"))
+        for case in [c for c in d.cases(good, 1) if c.mutation in ("cut", "LFS pointer", "empty") and "last" not in c.detail][
+            :3
+        ]:
+            path = d.place_case(good, case, _fresh(scratch, "case"))
+            command = [sys.executable, "-m", "dgeval", "inspect", str(path)]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+            outcome = d.judge_cli(done.returncode, done.stdout, done.stderr, path.name, None)
+            report.add("python -m dgeval inspect", case.mutation, f"{kind.name}, {case.detail}", outcome)
+
+
+def _fresh(scratch: Path, name: str) -> Path:
+    import shutil
+
+    path = scratch / name
+    shutil.rmtree(path, ignore_errors=True)
+    path.mkdir(parents=True)
+    return path
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--seeds", type=int, default=100, help="single bit flips per container; a tenth of it for other random cases"
+    )
+    parser.add_argument("--out", type=Path, help="Markdown file for the tables")
+    parser.add_argument("--only", default="", help="containers whose name contains this")
+    parser.add_argument("--parts", default="bytes,bombs,contents,real", help="parts of the campaign, comma between")
+    parser.add_argument(
+        "--cli-every", type=int, default=12, help="every n-th case of a mutation goes through the command line too"
+    )
+    parser.add_argument("--containers", default="mcap,bag,db3", help="containers of the wrong contents")
+    args = parser.parse_args()
+    started = time.perf_counter()
+    kinds = [k for k in d.KINDS if args.only in k.name]
+    report = Report()
+    lines: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="damage-") as folder:
+        scratch = Path(folder)
+        parts = args.parts.split(",")
+        if "bytes" in parts:
+            damage_bytes(report, kinds, args.seeds, args.cli_every, scratch)
+        if "bombs" in parts:
+            bombs(report, scratch)
+        if "contents" in parts:
+            lines = contents(report, tuple(args.containers.split(",")), scratch)
+        if "real" in parts:
+            real_processes(report, [k for k in kinds if k.name in ("mcap zstd", "bag none", "db3 folder")], scratch)
+    n = sum(sum(c.values()) for c in report.counts.values())
+    out = [f"# Damage campaign: {n} cases, {args.seeds} seeds, {len(report.violations)} violations", ""]
+    out += [report.table(), "", f"slowest: {report.slowest[0]:.1f} s, {report.slowest[1]}", ""]
+    out += [f"largest: {report.largest[0]:.0f} MB resident, {report.largest[1]}", ""]
+    if lines:
+        out += [
+            "## Wrong contents",
+            "",
+            "| container | contents | result | last line on standard error |",
+            "|---|---|---|---|",
+            *lines,
+            "",
+        ]
+    out += ["## Violations", "", *(f"- {v}" for v in report.violations or ["none"]), ""]
+    out += [
+        "## A sample of each outcome",
+        "",
+        *(f"- {c} / {r} / {k}: {text}" for (c, r, k), text in sorted(report.samples.items())),
+    ]
+    text = "\n".join(out).replace(str(scratch), "…") + f"\n\n{time.perf_counter() - started:.0f} s\n"
+    print(text)
+    if args.out:
+        args.out.write_text(text, encoding="utf-8")
+    print(report.by_signature(), file=sys.stderr)
+    return 1 if report.violations else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
