@@ -26,9 +26,10 @@ Box = tuple[float, float, float, float]
 MAX_KEYFRAMES = 12
 GROWTH_PX = 6
 RIM_FRAMES = 15
-RIM_SHARE = 0.08  # of the box; a larger difference is not the rim's doing
+RIM_SHARE = 0.05  # of the box; a larger difference is not the rim's doing
+RIM_ANGLE = 0.12  # rad; beyond this turn of the view other parts of the target make its outline
 BASE_HEIGHT = 0.012  # m; model points this low over the plane stand on it
-MIN_COVER = 0.5  # of the box, by what has depth in it, before a model is begun
+MIN_COVER, MIN_FILL = 0.5, 0.2  # of the box, by extent and by area of what has depth in it, before a model is begun
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +140,9 @@ class ModelTracker:
         mask = segmentation.segment_box(depth, window, free, box)
         if int(mask.sum()) < self.config.observation.min_points:
             return None
-        if _overlap(_extent(mask, window), box) < MIN_COVER:
+        area = (box[2] - box[0]) * (box[3] - box[1])
+        filled = int((segmentation.fill(mask.astype(np.float32), 5) > 0).sum())
+        if _overlap(_extent(mask, window), box) < MIN_COVER or filled < MIN_FILL * area:
             return None  # a patch of depth in the box is not the thing the box holds
         return window, mask, plane, depth
 
@@ -340,7 +343,8 @@ class ModelTracker:
         self._n_accepted += 1
         if self._n_accepted == 1:
             self._T_begun = T_previous
-        if self._n_accepted > RIM_FRAMES or self._begun is None:
+        turn = rotation_angle(self._T_begun[:3, :3].T @ T_previous[:3, :3])
+        if self._n_accepted > RIM_FRAMES or self._begun is None or turn > RIM_ANGLE:
             return
         box = projected_box(model.points, self._T_begun, camera, self._begun.plane)
         if box is None:
@@ -386,7 +390,7 @@ def projected_box(points: Array, T_camera_model: Array, camera: Intrinsics, plan
     if len(p) < 10:
         return None
     pixels = camera.project(p)
-    low, high = np.quantile(pixels, [0.003, 0.997], axis=0)
+    low, high = np.quantile(pixels, [0.001, 0.999], axis=0)
     if plane is not None:
         height = plane.height(p)
         base = p[(height > 0) & (height < BASE_HEIGHT)]
