@@ -197,6 +197,7 @@ def _trial_row(
 
 def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
     """Put the tables together from the trials' own files and write run.json. Returns the run's exit code."""
+    out.mkdir(parents=True, exist_ok=True)
     done = sorted((r for r in results if r.row is not None), key=lambda r: r.id)
     rows = [r.row for r in done if r.row is not None]
     _write_table(out / "trials.parquet", arrow_table(TRIALS, rows))

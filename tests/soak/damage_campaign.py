@@ -106,6 +106,11 @@ def _cli(command: str, path: Path, intact: bool | None, scratch: Path) -> d.Outc
     return d.judge_cli(*d.run_cli(arguments), path.name, intact)
 
 
+def _cli_new(path: Path, scratch: Path) -> d.Outcome:
+    out = _fresh(scratch, "run") / "new"
+    return d.judge_cli(*d.run_cli(["replay", str(path), "--out", str(out), "--no-review"]), path.name, False)
+
+
 def bombs(report: Report, scratch: Path) -> None:
     """A chunk that claims 1000 bytes and expands to 1.75 GB."""
     for compression in ("zstd", "lz4"):
@@ -181,6 +186,7 @@ def main() -> int:
     started = time.perf_counter()
     kinds = [k for k in d.KINDS if args.only in k.name]
     report = Report()
+    d.parse_definitions_once()
     lines: list[str] = []
     with tempfile.TemporaryDirectory(prefix="damage-") as folder:
         scratch = Path(folder)
@@ -190,6 +196,8 @@ def main() -> int:
         if "bombs" in parts:
             bombs(report, scratch)
         if "contents" in parts:
+            path = d.write_semantic(next(c for c in d.SEMANTIC if c.name == "no depth"), "mcap", _fresh(scratch, "case"))
+            report.add("contents replay, mcap", "run folder is new", "no depth", d.in_child(lambda: _cli_new(path, scratch)))
             lines = contents(report, tuple(args.containers.split(",")), scratch)
         if "real" in parts:
             real_processes(report, [k for k in kinds if k.name in ("mcap zstd", "bag none", "db3 folder")], scratch)

@@ -1,0 +1,54 @@
+"""Shared fixtures: the demo recording, a replay of it, and the real recordings where the machine has them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DEMO = ROOT / "datasets" / "demo.mcap"
+
+from dgeval.determinism import set_thread_variables  # noqa: E402
+
+set_thread_variables()
+
+
+@pytest.fixture(scope="session")
+def demo() -> Path:
+    return DEMO
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real recordings; without it the tests that need it are skipped."""
+    place = os.environ.get("DGEVAL_REAL_DATA", "")
+    if not place or not Path(place).is_dir():
+        pytest.skip("DGEVAL_REAL_DATA does not name a folder with the real recordings")
+    return Path(place)
+
+
+@pytest.fixture(scope="session")
+def dgeval() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run the command line in a process of its own."""
+
+    def run(*arguments: str | Path, timeout: float = 240) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "dgeval", *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=timeout, cwd=ROOT, check=False)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def demo_run(
+    demo: Path, dgeval: Callable[..., subprocess.CompletedProcess[str]], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A finished run of the demo recording, with its review."""
+    out = tmp_path_factory.mktemp("run") / "demo"
+    done = dgeval("replay", demo, "--out", out)
+    assert done.returncode == 0, done.stderr
+    return out

@@ -1,0 +1,88 @@
+"""Catches: a transposed rotation, a quaternion in the wrong order, interpolation the long way round, a plane moved by the
+inverse transform."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from dgeval import geometry as g
+from dgeval.stages.plane import Plane
+
+numbers = st.floats(-2, 2, allow_nan=False)
+
+
+@st.composite
+def poses(draw: st.DrawFn) -> np.ndarray:
+    q = np.array([draw(numbers) for _ in range(4)])
+    if np.linalg.norm(q) < 0.1:
+        q = np.array([0.0, 0, 0, 1])
+    return np.concatenate([[draw(numbers) for _ in range(3)], q / np.linalg.norm(q)])
+
+
+@given(poses())
+def test_pose_and_matrix_are_inverse(pose: np.ndarray) -> None:
+    again = g.pose_from_matrix(g.matrix_from_pose(pose))
+    assert again[6] >= 0
+    same = np.allclose(again, pose, atol=1e-9) or np.allclose(again[3:], -pose[3:], atol=1e-9)
+    assert same
+    assert np.allclose(again[:3], pose[:3])
+
+
+def test_quaternion_order_is_xyzw() -> None:
+    quarter_about_z = np.array([0, 0, 0, 0, 0, np.sqrt(0.5), np.sqrt(0.5)])
+    assert np.allclose(g.transform(g.matrix_from_pose(quarter_about_z), np.array([[1.0, 0, 0]])), [[0, 1, 0]])
+
+
+@given(poses(), poses())
+def test_invert_undoes(a: np.ndarray, b: np.ndarray) -> None:
+    T = g.matrix_from_pose(a)
+    points = np.array([b[:3], b[3:6]])
+    assert np.allclose(g.transform(g.invert(T), g.transform(T, points)), points)
+
+
+@given(poses(), poses(), st.floats(0, 1))
+def test_interpolation_agrees_with_scipy_slerp(a: np.ndarray, b: np.ndarray, alpha: float) -> None:
+    angle = (Rotation.from_quat(a[3:]).inv() * Rotation.from_quat(b[3:])).magnitude()
+    if angle > 3.1:
+        return  # two ways of equal length
+    got = g.interpolate_pose(a, b, alpha)
+    want = Slerp([0, 1], Rotation.from_quat([a[3:], b[3:]]))(alpha)
+    assert (Rotation.from_quat(got[3:]).inv() * want).magnitude() < 1e-6
+    assert np.allclose(got[:3], (1 - alpha) * a[:3] + alpha * b[:3])
+
+
+@given(st.lists(numbers, min_size=3, max_size=3))
+def test_rotation_vector_of_increment(r: list[float]) -> None:
+    v = np.array(r)
+    if np.linalg.norm(v) > 3.0:
+        return
+    T = g.increment(np.concatenate([np.zeros(3), v]))
+    assert np.allclose(T[:3, :3], Rotation.from_rotvec(v).as_matrix(), atol=1e-9)
+    assert np.allclose(g.rotation_vector(T[:3, :3]), v, atol=1e-6)
+    assert g.rotation_angle(T[:3, :3]) == pytest.approx(np.linalg.norm(v), abs=1e-6)
+
+
+@given(st.lists(numbers, min_size=6, max_size=6))
+def test_cross_agrees_with_numpy(v: list[float]) -> None:
+    a, b = np.array([v[:3]]), np.array([v[3:]])
+    assert np.allclose(g.cross(a, b), np.cross(a, b))
+
+
+def test_project_and_backproject_are_inverse() -> None:
+    camera = g.Intrinsics(640, 480, 600.0, 590.0, 320.5, 239.0)
+    points = np.array([[0.1, -0.2, 0.8], [0.0, 0.0, 1.5]])
+    uv = camera.project(points)
+    assert np.allclose(camera.backproject(uv[:, 0], uv[:, 1], points[:, 2]), points)
+    assert np.allclose(uv[1], [320.5, 239.0])
+
+
+@given(poses())
+def test_plane_moves_with_its_points(pose: np.ndarray) -> None:
+    plane = Plane(np.array([0.0, 0.6, 0.8]), 0.5, 1.0)
+    points = np.array([[0.3, 0.1, 0.2], [1, 2, 3.0]])
+    T = g.matrix_from_pose(pose)
+    assert np.allclose(plane.moved(T).height(g.transform(T, points)), plane.height(points))

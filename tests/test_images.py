@@ -1,0 +1,100 @@
+"""Catches: 16 bits squeezed to 8, red and blue swapped, padding read as pixels, endianness ignored, cut images accepted."""
+
+from __future__ import annotations
+
+import struct
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dgeval.recording.images import colour_from, decode_image, depth_from
+
+RNG = np.random.default_rng(0)
+DEPTH = RNG.integers(0, 65536, (7, 9)).astype(np.uint16)
+
+
+def raw(array: np.ndarray, encoding: str, step: int | None = None, big: bool = False, pad: int = 0) -> SimpleNamespace:
+    rows = array.astype(array.dtype.newbyteorder(">" if big else "<")).reshape(array.shape[0], -1).view(np.uint8)
+    rows = np.hstack([rows, np.full((len(rows), pad), 255, np.uint8)])
+    return SimpleNamespace(
+        height=array.shape[0], width=array.shape[1], encoding=encoding, is_bigendian=int(big),
+        step=step if step is not None else rows.shape[1], data=rows.ravel(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("pad", [0, 6])
+def test_raw_depth_is_exact(big: bool, pad: int) -> None:
+    assert np.array_equal(decode_image(raw(DEPTH, "16UC1", big=big, pad=pad)).array, DEPTH)
+
+
+def test_raw_colours_keep_their_channels() -> None:
+    red = np.zeros((4, 5, 3), np.uint8)
+    red[..., 0] = 200
+    assert np.array_equal(colour_from(decode_image(raw(red, "rgb8"))), red)
+    assert np.array_equal(colour_from(decode_image(raw(red[..., ::-1].copy(), "bgr8"))), red)
+
+
+@pytest.mark.parametrize(
+    "text", ["16UC1; compressedDepth", "16UC1; compressedDepth png", "16UC1; png compressedDepth", "16UC1;compressedDepth"]
+)
+def test_compressed_depth_round_trip_is_exact(text: str) -> None:
+    data = b"\0" * 12 + cv2.imencode(".png", DEPTH)[1].tobytes()
+    assert np.array_equal(decode_image(SimpleNamespace(format=text, data=data)).array, DEPTH)
+
+
+def test_compressed_depth_of_floats() -> None:
+    """image_transport's quantisation: code = a / z + b."""
+    z = np.linspace(0.3, 4.0, 60, dtype=np.float32).reshape(6, 10)
+    a, b = 100.0 * 4.0 * (4.0 + 1), 1.0 - 100.0 * (4.0 + 1)
+    codes = np.round(a / z + b).astype(np.uint16)
+    codes[0, 0] = 0
+    data = struct.pack("<iff", 0, a, b) + cv2.imencode(".png", codes)[1].tobytes()
+    got = depth_from(decode_image(SimpleNamespace(format="32FC1; compressedDepth png", data=data)), None)
+    assert got[0, 0] == 0
+    assert np.allclose(got.ravel()[1:], z.ravel()[1:], rtol=0.01)
+
+
+def test_depth_units_and_missing_readings() -> None:
+    codes = np.array([[0, 65535, 1000, 250]], np.uint16)
+    assert np.allclose(depth_from(decode_image(raw(codes, "16UC1")), None), [[0, 0, 1.0, 0.25]])
+    assert np.allclose(depth_from(decode_image(raw(codes, "mono16")), 0.0001), [[0, 0, 0.1, 0.025]])
+    metres = np.array([[np.nan, np.inf, -1.0, 0.7]], np.float32)
+    assert np.allclose(depth_from(decode_image(raw(metres, "32FC1")), None), [[0, 0, 0, 0.7]])
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        raw(DEPTH, "yuv99"),
+        raw(DEPTH, "16UC1", step=4),
+        SimpleNamespace(height=7, width=9, encoding="16UC1", is_bigendian=0, step=18, data=b"123"),
+        SimpleNamespace(format="jpeg", data=cv2.imencode(".jpg", np.zeros((40, 40, 3), np.uint8))[1].tobytes()[:-30]),
+        SimpleNamespace(format="png", data=cv2.imencode(".png", DEPTH)[1].tobytes()[:40]),
+        SimpleNamespace(format="jpeg", data=b"<html>"),
+        SimpleNamespace(format="16UC1; compressedDepth rvl", data=b"\0" * 64),
+        SimpleNamespace(format="16UC1; compressedDepth png", data=b""),
+        SimpleNamespace(other=1),
+    ],
+)
+def test_broken_images_are_value_errors(message: SimpleNamespace) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        decode_image(message)
+
+
+@given(st.binary(max_size=200))
+def test_random_bytes_never_raise_anything_else(data: bytes) -> None:
+    for text in ("jpeg", "png", "16UC1; compressedDepth png", "32FC1; compressedDepth"):
+        with pytest.raises(ValueError, match=r"."):
+            decode_image(SimpleNamespace(format=text, data=b"\x89PNG\r\n\x1a\n" + data))
+
+
+def test_colour_and_depth_are_not_mistaken_for_each_other() -> None:
+    with pytest.raises(ValueError, match="not a colour"):
+        colour_from(decode_image(raw(DEPTH, "16UC1")))
+    with pytest.raises(ValueError, match="not a depth"):
+        depth_from(decode_image(raw(np.zeros((2, 2, 3), np.uint8), "rgb8")), None)

@@ -1,0 +1,237 @@
+"""End to end on the demo recording, whose truth is known. Catches: frames mixed up, the hand fused into the target,
+results that depend on file name, workers or luck, runs that can't be resumed, text on standard output beside JSON."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dgeval.geometry import matrix_from_pose, transform
+from dgeval.recording.containers import open_container
+from dgeval.recording.scan import scan
+from dgeval.recording.trials import find_trials, open_trial
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+DIGESTS = [f"digest_{s}" for s in ("input", "tracking", "registration", "fusion", "estimation", "grasps", "servo", "execution")]
+
+
+def trials(folder: Path) -> pd.DataFrame:
+    return pd.read_parquet(folder / "trials.parquet")
+
+
+@pytest.fixture(scope="module")
+def frames(demo_run: Path) -> pd.DataFrame:
+    return pd.read_parquet(demo_run / "frames" / "demo.parquet")
+
+
+def test_velocity_of_the_belt_is_found(frames: pd.DataFrame) -> None:
+    seen = frames[(frames["tracking"] == "tracked") & (frames["frame"] > 6)]
+    assert np.abs(seen["velocity_y"] - 0.08).max() < 0.006
+    assert np.abs(seen[["velocity_x", "velocity_z"]]).to_numpy().max() < 0.006
+
+
+def test_feature_moves_with_the_true_object(demo: Path, frames: pd.DataFrame) -> None:
+    """In the base frame, through joints, description, hand–eye, tracking and registration, to 2 mm."""
+    truth = scan(open_container(demo)).poses["/truth/object_pose"]
+    T0 = matrix_from_pose(truth[0].pose)
+    seen = frames[frames["icp_accepted"].fillna(False).to_numpy(dtype=bool) & (frames["n_observed"] > 900)]
+    local = []
+    for row in seen.to_dict("records"):
+        T = matrix_from_pose(truth[row["frame"]].pose)
+        point = np.array([[row["feature_px"], row["feature_py"], row["feature_pz"]]])
+        local.append(transform(np.linalg.inv(T), point)[0])
+    assert len(local) > 25
+    assert np.linalg.norm(np.array(local) - np.median(local, axis=0), axis=1).max() < 0.002
+    assert np.allclose(T0[2, 3], 0.035)
+
+
+def test_the_hand_is_not_fused_into_the_target(demo_run: Path) -> None:
+    """The box is 90 x 56 x 70 mm; a finger in the model would make it longer."""
+    data = (demo_run / "models" / "demo.ply").read_bytes()
+    points = np.frombuffer(data[data.index(b"end_header\n") + 11 :], "<f4").reshape(-1, 6)[:, :3]
+    centred = points - points.mean(axis=0)
+    spread = np.linalg.norm(centred, axis=1)
+    assert np.quantile(spread, 0.999) < 0.5 * np.linalg.norm([0.09, 0.056, 0.07]) + 0.012
+    assert spread.max() < 0.08
+
+
+def test_losses_and_blind_frames_are_told(frames: pd.DataFrame) -> None:
+    lost = frames[frames["tracking"] == "lost"]
+    assert len(lost) > 20
+    assert lost["box_x0"].isna().all()
+    assert lost["predicted"].all()
+    assert (lost["icp_reject_reason"] == "lost").all()
+    after = frames[frames["t_ns"] > lost["t_ns"].iloc[0] + 1_050_000_000]
+    assert after[["model_px", "feature_px", "velocity_x"]].isna().to_numpy().all()
+    within = lost[lost["t_ns"] < lost["t_ns"].iloc[0] + 800_000_000]
+    assert within["model_px"].notna().all()
+
+
+def test_servo_and_execution_follow_the_recorded_grasp(frames: pd.DataFrame) -> None:
+    assert (frames["n_grasps"] == 1).all()
+    late = frames[frames["t_ns"] > frames["t_ns"].iloc[0] + 3_000_000_000]
+    assert late["error_linear"].max() < 0.002
+    crossed = frames.loc[frames["execute"].fillna(False).to_numpy(dtype=bool), "frame"].iloc[0]
+    assert frames.loc[crossed, "hand_score"] > 0.7 >= frames.loc[crossed - 1, "hand_score"]
+    # far from the grasp the commanded velocity points to it, plus the belt's own
+    first = frames.iloc[10]
+    to_grasp = np.array([first[f"grasp_p{a}"] - first[f"hand_p{a}"] for a in "xyz"])
+    twist = np.array([first["twist_vx"], first["twist_vy"], first["twist_vz"]])
+    assert (twist - [0, 0.08, 0]) @ to_grasp > 0
+
+
+def test_trial_row_says_what_ran_and_what_is_known(demo_run: Path) -> None:
+    row = trials(demo_run).iloc[0]
+    assert (row["outcome"], row["outcome_source"], row["self_filter"], row["base_frame"]) == (
+        "success", "label", "geometry", "base_link",
+    )  # fmt: skip
+    assert "TransT-M" in row["notes"]
+    assert "FFHNet" in row["notes"]
+    assert row["target_source"] == "automatic"
+    about = json.loads((demo_run / "run.json").read_text())
+    assert about["schema_version"] == 1
+    assert about["config"]["fusion"]["n_s"] == 5
+
+
+@pytest.fixture(scope="module")
+def two_trials(demo: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A manifest of two short trials, so that two workers have something to share."""
+    folder = tmp_path_factory.mktemp("manifest")
+    text = 'name = "pair"\n'
+    for name, a, b in (("early", 0, 14), ("later", 14, 26)):
+        box = "" if name == "later" else ""
+        text += f'[[trial]]\nid = "{name}"\nrecording = "{demo}"\nframes = [{a}, {b}]\n{box}'
+    (folder / "pair.toml").write_text(text)
+    return folder / "pair.toml"
+
+
+def digests(folder: Path) -> list[list[str]]:
+    table = trials(folder).sort_values("trial")
+    return table[DIGESTS].to_numpy().tolist()
+
+
+def test_same_digests_for_any_jobs_name_and_repetition(dgeval: Run, demo: Path, two_trials: Path, tmp_path: Path) -> None:
+    outs = []
+    for i, extra in enumerate((["--jobs", "1"], ["--jobs", "2"])):
+        out = tmp_path / f"r{i}"
+        done = dgeval("replay", two_trials, "--out", out, "--no-review", *extra)
+        assert done.returncode == 0, done.stderr
+        outs.append(digests(out))
+    assert outs[0] == outs[1]
+    renamed = tmp_path / "another name é.mcap"
+    shutil.copy(demo, renamed)
+    done = dgeval("replay", renamed, "--frames", "0:14", "--out", tmp_path / "r2", "--no-review", "--check-determinism")
+    assert done.returncode == 0, done.stderr
+    assert "same bytes twice" in done.stderr
+    assert digests(tmp_path / "r2")[0] == outs[0][0]
+    done = dgeval("replay", renamed, "--frames", "0:14", "--out", tmp_path / "r3", "--no-review", "--set", "seed=1")
+    other = digests(tmp_path / "r3")[0]
+    assert other[2] != outs[0][0][2]
+    assert other[0] == outs[0][0][0]
+
+
+def test_finished_trials_are_kept_and_interrupted_ones_done_again(dgeval: Run, two_trials: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    assert dgeval("replay", two_trials, "--out", out, "--no-review").returncode == 0
+    before = digests(out)
+    (out / "trials" / "later.json").unlink()
+    (out / "frames" / "later.parquet").write_bytes(b"half a file")
+    again = dgeval("replay", two_trials, "--out", out, "--no-review")
+    assert "kept from before" in next(line for line in again.stdout.splitlines() if line.startswith("early:"))
+    assert "kept from before" not in next(line for line in again.stdout.splitlines() if line.startswith("later:"))
+    assert digests(out) == before
+    changed = dgeval("replay", two_trials, "--out", out, "--no-review", "--set", "fusion.n_s=3")
+    assert "kept from before" not in changed.stdout
+    assert not list(out.rglob("*.part"))
+
+
+def test_json_is_the_only_thing_on_standard_output(dgeval: Run, demo: Path, tmp_path: Path) -> None:
+    done = dgeval("replay", demo, "--frames", "0:4", "--out", tmp_path / "r", "--no-review", "--json")
+    assert json.loads(done.stdout)["trials"][0]["n_frames"] == 4
+    bad = dgeval("replay", tmp_path / "absent.mcap", "--out", tmp_path / "r", "--json")
+    assert bad.returncode == 2
+    assert json.loads(bad.stdout)["exit_code"] == 2
+    assert "absent.mcap" in bad.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--bbox", "1,2,3"),
+        ("--bbox", "9,9,1,1"),
+        ("--frames", "5"),
+        ("--frames", "0:9999"),
+        ("--set", "traking.method=csrt"),
+        ("--pipeline", "vfas"),
+        ("--set", "roles.colour=/nothing"),
+    ],
+)
+def test_wrong_calls_end_with_2_and_a_sentence(dgeval: Run, demo: Path, tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    done = dgeval("replay", demo, "--out", tmp_path / "r", "--no-review", *arguments)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip()) > 20
+
+
+def test_a_box_in_a_later_frame_starts_there(demo: Path, dgeval: Run, tmp_path: Path) -> None:
+    from dgeval.config import load_config
+
+    trial = open_trial(find_trials([demo])[0], load_config())
+    when = trial.pairs[8][0]
+    box = ("--bbox", "195,43,272,97", "--bbox-time", str(when))
+    done = dgeval("replay", demo, "--frames", "0:12", "--out", tmp_path / "r", "--no-review", *box)
+    assert done.returncode == 0, done.stderr
+    table = pd.read_parquet(tmp_path / "r" / "frames" / "demo.parquet")
+    assert (table["tracking"] == "not_started").sum() == 8
+    assert (table["tracking"] == "tracked").sum() == 4
+
+
+def test_box_tracker_runs_the_same_path(dgeval: Run, demo: Path, tmp_path: Path) -> None:
+    done = dgeval("replay", demo, "--frames", "0:20", "--out", tmp_path / "r", "--no-review", "--set", "tracking.method=csrt")
+    assert done.returncode == 0, done.stderr
+    table = pd.read_parquet(tmp_path / "r" / "frames" / "demo.parquet")
+    assert table["icp_accepted"].sum() >= 15
+    assert "CSRT" in trials(tmp_path / "r").iloc[0]["notes"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["open3d", "kiss_icp"])
+def test_other_registration_libraries_reach_the_same_velocity(dgeval: Run, demo: Path, tmp_path: Path, method: str) -> None:
+    done = dgeval(
+        "replay", demo, "--frames", "0:24", "--out", tmp_path / "r", "--no-review", "--set", f"registration.method={method}"
+    )
+    assert done.returncode == 0, done.stderr
+    table = pd.read_parquet(tmp_path / "r" / "frames" / "demo.parquet")
+    assert abs(table["velocity_y"].iloc[-1] - 0.08) < 0.008
+
+
+def test_config_show_loads_again(dgeval: Run, demo: Path, tmp_path: Path) -> None:
+    shown = dgeval("config", "show", "--set", "fusion.n_s=3")
+    (tmp_path / "mine.toml").write_text(shown.stdout)
+    again = dgeval("config", "show", "--pipeline", tmp_path / "mine.toml")
+    assert again.stdout == shown.stdout
+    assert "n_s = 3" in shown.stdout
+
+
+def test_help_of_every_command_has_examples(dgeval: Run) -> None:
+    for name in ("replay", "report", "inspect", "view"):
+        done = dgeval(name, "--help")
+        assert done.returncode == 0
+        assert "dgeval " + name in done.stdout
+
+
+def test_inspect_names_roles_events_and_answers(dgeval: Run, demo: Path) -> None:
+    done = dgeval("inspect", demo, "--json")
+    found = json.loads(done.stdout)
+    assert found["roles"]["colour"] == "/camera/color/image_raw/compressed"
+    assert found["roles"]["camera_pose"] == "base_link → camera_color_optical_frame"
+    assert [e["event"] for e in found["events"]] == ["trial_start", "close", "lift", "label", "trial_end"]
+    assert all(a["can"] for a in found["answers"])
+    assert "CRC-32" in found["checksums"]

@@ -1,0 +1,352 @@
+"""Catches, stage by stage: a sign, a unit, a frame or a bound that differs from the papers (PAPERS.md section 11)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from small_gicp import KdTree
+
+from dgeval.config import (
+    EstimationConfig,
+    ExecutionConfig,
+    FusionConfig,
+    PlaneConfig,
+    RegistrationConfig,
+    SelectionConfig,
+    ServoConfig,
+)
+from dgeval.determinism import generator
+from dgeval.errors import MissingDependencyError
+from dgeval.geometry import Intrinsics, increment, invert, matrix_from_pose, transform
+from dgeval.recording.description import LinkShape
+from dgeval.stages import align
+from dgeval.stages.estimation import VelocityFilter
+from dgeval.stages.execution import execute
+from dgeval.stages.fusion import Fusion, supported
+from dgeval.stages.plane import fit_plane
+from dgeval.stages.registration import BACKENDS, gate, register
+from dgeval.stages.schedule import Delayed
+from dgeval.stages.selection import Grasp, grasp_metric, select
+from dgeval.stages.self_filter import hand_pixels, signed_distance
+from dgeval.stages.servo import Servo, blend_rotation, look_at_rotation
+from dgeval.stages.types import Model, Observation, Registration
+
+CAMERA = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
+
+
+def at(x: float = 0, y: float = 0, z: float = 0, rotvec: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(rotvec).as_matrix()
+    T[:3, 3] = (x, y, z)
+    return T
+
+
+# self-filter
+
+
+@given(st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3))
+def test_signed_distances_against_sampling(p: list[float]) -> None:
+    """A box and a cylinder against the distance to points sampled on their surface; sphere and capsule in closed form."""
+    q = np.array([p])
+    assert signed_distance(LinkShape("l", "sphere", np.eye(4), (0.1,)), q)[0] == pytest.approx(np.linalg.norm(q) - 0.1)
+    axial = max(abs(p[2]) - 0.1, 0.0)
+    want = np.hypot(np.hypot(p[0], p[1]), axial) - 0.05
+    assert signed_distance(LinkShape("l", "capsule", np.eye(4), (0.05, 0.1)), q)[0] == pytest.approx(want)
+    half = np.array([0.1, 0.05, 0.08])
+    clipped = np.clip(q, -half, half)
+    got = signed_distance(LinkShape("l", "box", np.eye(4), tuple(half)), q)[0]
+    outside = float(np.linalg.norm(q - clipped))
+    assert got == pytest.approx(outside if outside > 0 else -float((half - np.abs(q)).min()))
+    radial, height = np.hypot(p[0], p[1]) - 0.06, abs(p[2]) - 0.09
+    want = np.hypot(max(radial, 0), max(height, 0)) + min(max(radial, height), 0)
+    assert signed_distance(LinkShape("l", "cylinder", np.eye(4), (0.06, 0.09)), q)[0] == pytest.approx(want)
+
+
+def test_hull_is_its_planes() -> None:
+    from scipy.spatial import ConvexHull
+
+    corners = np.array(np.meshgrid([-0.1, 0.1], [-0.05, 0.05], [-0.02, 0.02])).T.reshape(-1, 3)
+    hull = LinkShape("l", "hull", np.eye(4), hull=ConvexHull(corners).equations)
+    assert np.allclose(signed_distance(hull, np.array([[0, 0, 0], [0.13, 0, 0]])), [-0.02, 0.03])
+
+
+def test_hand_pixels_take_the_hand_and_leave_what_is_behind() -> None:
+    depth = np.full((240, 320), 0.6, np.float32)
+    depth[100:140, 150:170] = 0.3
+    shape = LinkShape("finger", "sphere", np.eye(4), (0.02,), bound=0.02)
+    mask = hand_pixels(depth, (0, 0), CAMERA, [(shape, at(z=0.32))], 0.01)
+    assert mask[120, 160]
+    assert not mask[120, 100]
+    assert not mask[110, 300]
+    window = hand_pixels(depth[90:150, 140:180], (140, 90), CAMERA, [(shape, at(z=0.32))], 0.01)
+    assert np.array_equal(window, mask[90:150, 140:180])
+
+
+# plane
+
+
+def test_plane_is_found_among_clutter_and_faces_the_camera() -> None:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(-0.3, 0.3, (900, 2))
+    table = np.column_stack([xy, 0.8 + 0.3 * xy[:, 0] + rng.normal(0, 0.001, 900)])
+    clutter = rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 0.7], (400, 3))
+    plane = fit_plane(np.vstack([table, clutter]), generator(0, "plane", 0), PlaneConfig())
+    assert plane is not None
+    want = np.array([0.3, 0, -1]) / np.linalg.norm([0.3, 0, -1])
+    assert np.degrees(np.arccos(abs(plane.n @ want))) < 0.3
+    assert plane.d > 0
+    assert plane.height(np.array([[0, 0, 0.7]]))[0] > 0.05
+
+
+def test_no_plane_in_a_ball() -> None:
+    points = np.random.default_rng(1).normal(0, 0.2, (600, 3)) + [0, 0, 1]
+    assert fit_plane(points, generator(0, "plane", 0), PlaneConfig(min_support=0.5)) is None
+
+
+# alignment and registration
+
+
+def box_cloud(rng: np.random.Generator, n: int, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    half = np.array([0.08, 0.05, 0.035])
+    normals, points = [], []
+    for axis, sign in ((0, -1), (1, -1), (2, -1)):
+        p = rng.uniform(-half, half, (n // 3, 3))
+        p[:, axis] = sign * half[axis]
+        points.append(p)
+        normals.append(np.tile(np.eye(3)[axis] * sign, (n // 3, 1)))
+    p = np.vstack(points) + rng.normal(0, noise, (3 * (n // 3), 3)) if noise else np.vstack(points)
+    return p + [0, 0, 0.6], np.vstack(normals)
+
+
+@pytest.mark.parametrize("name", sorted(BACKENDS))
+def test_backends_recover_a_known_motion(name: str) -> None:
+    """T_model_camera of a cloud moved by 5 mm and 2 degrees; the inverse would be off by twice that."""
+    rng = np.random.default_rng(3)
+    target, normals = box_cloud(rng, 3000, 0.0005)
+    source, _ = box_cloud(rng, 1200, 0.0005)
+    centre = at(z=0.6)
+    T_camera_model = centre @ at(0.003, -0.003, 0.0025, (0.02, -0.02, 0.02)) @ invert(centre)
+    try:
+        T = BACKENDS[name](transform(T_camera_model, source), Model(target, normals), np.eye(4), RegistrationConfig())
+    except MissingDependencyError as error:
+        pytest.skip(str(error))
+    off = invert(T) @ invert(T_camera_model)
+    assert np.linalg.norm(transform(off, np.array([[0, 0, 0.6]])) - [0, 0, 0.6]) < 0.0012
+    assert np.degrees(np.linalg.norm(Rotation.from_matrix(off[:3, :3]).as_rotvec())) < 0.7
+
+
+def test_alignment_steps_reach_the_true_pose() -> None:
+    rng = np.random.default_rng(4)
+    points, normals = box_cloud(rng, 900)
+    truth = increment(np.array([0.004, -0.006, 0.005, 0.02, 0.01, -0.03]))
+    pixels = CAMERA.project(transform(truth, points[::10]))
+    T = np.eye(4)
+    for _ in range(12):
+        H, g, _ = align.feature_normal_equations(transform(T, points[::10]), pixels, CAMERA, 40.0)
+        T = align.solve(H, g) @ T
+    assert np.allclose(T, truth, atol=1e-5)
+    T = np.eye(4)
+    for _ in range(12):
+        H, g, used = align.depth_normal_equations(
+            transform(T, points), transform(truth, points), normals @ T[:3, :3].T, np.full(len(points), 0.001), 0.05
+        )
+        T = align.solve(H, g) @ T
+    assert used == len(points)
+    assert np.allclose(T, truth, atol=1e-4)
+
+
+def registered(T: np.ndarray, fitness: float = 0.9) -> Registration:
+    return Registration(T, 1.0, fitness, 0.001, None)
+
+
+def test_gate_bounds_are_the_papers() -> None:
+    """4 m/s and 4 rad/s at 30 Hz: 13.2 cm and 7.5 degrees pass, 13.5 cm and 7.8 do not; a dropped frame doubles them."""
+    c, dt, centre = RegistrationConfig(), 1 / 30, np.array([0.0, 0, 0.5])
+    about = at(z=0.5)
+
+    def turned(degrees: float) -> np.ndarray:
+        return about @ at(rotvec=(0, np.radians(degrees), 0)) @ invert(about)
+
+    assert gate(registered(at(x=0.132)), np.eye(4), centre, dt, c) is None
+    assert gate(registered(at(x=0.135)), np.eye(4), centre, dt, c) == "translation"
+    assert gate(registered(turned(7.5)), np.eye(4), centre, dt, c) is None
+    assert gate(registered(turned(7.8)), np.eye(4), centre, dt, c) == "rotation"
+    assert gate(registered(at(x=0.26)), np.eye(4), centre, 2 * dt, c) is None
+    assert gate(registered(np.eye(4), 0.8), np.eye(4), centre, dt, c) == "fitness"
+
+
+def test_gate_fitness_sees_the_shift_that_plain_fitness_does_not() -> None:
+    """A 10 mm shift scores 1.00 at 20 mm on a box (PAPERS A4); the gate counts within 5 mm."""
+    rng = np.random.default_rng(5)
+    points, normals = box_cloud(rng, 3000)
+    moved = Observation(points[::3] + [0.01, 0.01, 0.01], normals[::3])
+    c = RegistrationConfig(max_iterations=1, search_radius=0.02)
+    tree = KdTree(points)
+    distance = np.sqrt(tree.batch_nearest_neighbor_search(moved.points)[1])
+    assert (distance < 0.02).mean() > 0.99
+    assert (distance < 0.005).mean() < 0.5
+    result = register(Observation(points[::3], normals[::3]), Model(points, normals), np.eye(4), None, CAMERA, c)
+    assert result.gate_fitness > 0.99
+
+
+# fusion
+
+
+def test_eps_ball_needs_every_previous_cloud_and_is_open() -> None:
+    clouds = [KdTree(np.array([[0.0, 0, 0], [1, 1, 1]])) for _ in range(5)]
+    points = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.0099, 0, 0], [0.5, 0, 0]])
+    assert supported(points, clouds, 0.01).tolist() == [True, False, True, False]
+    clouds[2] = KdTree(np.array([[1.0, 1, 1], [2, 2, 2]]))
+    assert not supported(points, clouds, 0.01).any()
+    assert supported(points, [], 0.01).all()
+
+
+def test_model_is_bounded_and_thinned_by_seed() -> None:
+    rng = np.random.default_rng(0)
+    points, normals = box_cloud(rng, 900)
+
+    def fused(seed: int) -> Model:
+        fusion = Fusion(FusionConfig(max_model_points=1000))
+        for k in range(3):
+            fusion.step(Observation(points, normals), np.eye(4), generator(seed, "fusion", k))
+        assert fusion.model is not None
+        return fusion.model
+
+    assert len(fused(0).points) == 1000
+    assert np.array_equal(fused(0).points, fused(0).points)
+    assert not np.array_equal(fused(0).points, fused(1).points)
+
+
+def test_observations_are_put_into_the_model_frame() -> None:
+    points, normals = box_cloud(np.random.default_rng(0), 300)
+    fusion = Fusion(FusionConfig())
+    T_model_camera = at(0.1, 0, 0, (0, 0, 1.0))
+    fusion.step(Observation(points, normals), T_model_camera, generator(0, "fusion", 0))
+    assert fusion.model is not None
+    assert np.allclose(fusion.model.points, transform(T_model_camera, points))
+    assert np.allclose(fusion.model.normals, normals @ T_model_camera[:3, :3].T)
+
+
+# estimation
+
+
+@pytest.mark.parametrize(
+    ("sigma_a", "rmse_mm", "to_90", "drift_mm"), [(0.1, 4.5, 0.54, 2.3), (0.3, 10.5, 0.31, 5.2), (1.0, 25.9, 0.18, 13.0)]
+)
+def test_velocity_filter_reproduces_the_measured_table(sigma_a: float, rmse_mm: float, to_90: float, drift_mm: float) -> None:
+    """PAPERS section 7 (30 Hz, 4 mm noise, 0.2 m/s from t = 1 s), within 20 %."""
+    errors, reach, drift = [], [], []
+    for trial in range(120):
+        rng = np.random.default_rng(trial)
+        f = VelocityFilter(EstimationConfig(sigma_acceleration=sigma_a))
+        reached = None
+        for k in range(150):
+            t = k / 30
+            x = max(0.0, t - 1) * 0.2
+            e = f.step(round(t * 1e9), np.array([x, 0, 0]) + rng.normal(0, 0.004, 3))
+            assert e is not None
+            if reached is None and t > 1 and e.velocity[0] >= 0.18:
+                reached = t - 1
+            if t > 2.5:
+                errors.append(e.velocity[0] - 0.2)
+        reach.append(reached)
+        end = f.step(round((149 / 30 + 0.5) * 1e9), None)
+        assert end is not None
+        drift.append(end.position[0] - 0.2 * (149 / 30 + 0.5 - 1))
+    assert np.sqrt(np.mean(np.square(errors))) * 1e3 == pytest.approx(rmse_mm, rel=0.2)
+    assert np.mean(reach) == pytest.approx(to_90, rel=0.2)
+    assert np.std(drift) * 1e3 == pytest.approx(drift_mm, rel=0.2)
+
+
+def test_loss_policy_and_staleness() -> None:
+    def run(policy: str) -> list[float]:
+        f = VelocityFilter(EstimationConfig(loss_policy=policy))
+        for k in range(30):
+            f.step(round(k / 30 * 1e9), np.array([0.2 * k / 30, 0, 0]))
+        out = [f.step(round((1 + k / 30) * 1e9), None) for k in range(45)]
+        assert [e.stale for e in out if e][-1]
+        assert not out[10].stale
+        return [float(e.position[0]) for e in out if e]
+
+    moving, standing = run("constant_velocity"), run("zero")
+    assert moving[15] - moving[0] == pytest.approx(0.1, rel=0.1)
+    assert standing[15] == pytest.approx(standing[0])
+
+
+def test_filter_survives_equal_stamps_and_long_pauses() -> None:
+    f = VelocityFilter(EstimationConfig())
+    for t in (0, 0, 10**9, 61 * 10**9):
+        e = f.step(t, np.zeros(3))
+        assert e is not None
+        assert np.isfinite(e.velocity).all()
+
+
+# grasps, servo, execution, schedule
+
+
+def test_of_two_equal_grasps_the_nearer_wins() -> None:
+    near, far = Grasp(at(x=0.1), 0.8), Grasp(at(x=0.3), 0.8)
+    chosen = select([far, near], np.eye(4), SelectionConfig())
+    assert chosen is not None
+    assert chosen[0] is near
+    literal = select([far, near], np.eye(4), SelectionConfig(literal_eq5=True))
+    assert literal is not None
+    assert literal[0] is far
+
+
+def test_metric_closed_form_and_nan_scores() -> None:
+    grasp = Grasp(at(x=0.3, rotvec=(0, 0, 0.5)), 0.9)
+    assert grasp_metric(grasp, np.eye(4), SelectionConfig()) == pytest.approx(0.9 - 0.1 * 0.3 - 0.2 * 0.5)
+    assert select([Grasp(np.eye(4), float("nan"))], np.eye(4), SelectionConfig()) is None
+    assert select([], np.eye(4), SelectionConfig()) is None
+
+
+def test_servo_law_at_rest_is_proportional_plus_velocity() -> None:
+    servo = Servo(ServoConfig())
+    v = np.array([0.05, 0, 0])
+    command = servo.step(0, at(), at(x=0.04, rotvec=(0, 0, 0.2)), at(), np.array([0, 0, 1.0]), v)
+    assert np.allclose(command.twist[:3], [0.04 + 0.05, 0, 0])
+    assert np.allclose(command.twist[3:], [0, 0, 2.5 * 0.2])
+    assert (command.error_linear, command.error_angular) == (pytest.approx(0.04), pytest.approx(0.2))
+
+
+def test_servo_derivative_is_filtered_and_damps_a_growing_error() -> None:
+    servo = Servo(ServoConfig())
+    for k in range(200):
+        command = servo.step(round(k * 1e7), at(), at(x=0.01 + 0.001 * k * 0.1), None, np.zeros(3), np.zeros(3))
+    assert command.twist[0] == pytest.approx(0.01 + 0.0199 + 2.0 * 0.01, rel=0.02)
+
+
+def test_orientation_blends_from_object_to_grasp() -> None:
+    c = ServoConfig()
+    r_O, r_G = np.array([0.4, 0, 0]), np.array([0, 0.2, 0])
+    assert np.allclose(blend_rotation(0.25, r_O, r_G, c), r_O)
+    assert np.allclose(blend_rotation(0.03, r_O, r_G, c), r_G)
+    assert np.allclose(blend_rotation(0.125, r_O, r_G, c), (r_O + r_G) / 2)
+
+
+def test_look_at_turns_the_optical_axis_to_the_target() -> None:
+    r = look_at_rotation(at(), np.array([1.0, 0, 1.0]))
+    assert np.allclose(Rotation.from_rotvec(r).apply([0, 0, 1]), np.array([1, 0, 1]) / np.sqrt(2))
+    assert np.allclose(look_at_rotation(at(), np.array([0, 0, 2.0])), 0)
+
+
+def test_execution_threshold_is_strict() -> None:
+    c = ExecutionConfig()
+    assert execute(0.7, c) is False
+    assert execute(0.71, c) is True
+    assert execute(None, c) is None
+
+
+def test_latency_delays_by_whole_frames() -> None:
+    delayed: Delayed[int] = Delayed(0.05)
+    got = [delayed.step(round(k / 30 * 1e9), k) for k in range(5)]
+    assert [g[1] if g else None for g in got] == [None, None, 0, 1, 2]
+    assert Delayed(0.0).step(0, 7) == (0, 7)
+
+
+def test_pose_helper_is_right_handed() -> None:
+    assert np.linalg.det(matrix_from_pose(np.array([0, 0, 0, 0.1, 0.2, 0.3, 0.9]))[:3, :3]) == pytest.approx(1)

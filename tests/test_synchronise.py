@@ -1,0 +1,55 @@
+"""Catches: a depth image used twice, pairs beyond the tolerance, stamp faults that pass uncounted."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dgeval.config import SyncConfig
+from dgeval.recording.synchronise import clean_stamps, pair, tolerance_ns
+
+rising = st.lists(st.integers(1, 100), max_size=25).map(lambda steps: np.cumsum(np.array(steps, dtype=np.int64)))
+
+
+@given(rising, rising, st.integers(0, 60))
+def test_pairs_are_one_to_one_in_order_and_within_tolerance(c: np.ndarray, d: np.ndarray, tolerance: int) -> None:
+    pairs = pair(c, d, tolerance)
+    assert len({a for a, _ in pairs}) == len({b for _, b in pairs}) == len(pairs)
+    assert pairs == sorted(pairs)
+    for a, b in pairs:
+        assert abs(int(c[a]) - int(d[b])) <= tolerance
+
+
+@given(rising)
+def test_equal_stamps_pair_completely(c: np.ndarray) -> None:
+    assert pair(c, c, 10) == [(i, i) for i in range(len(c))]
+
+
+def test_the_nearest_wins_and_the_other_stays_alone() -> None:
+    assert pair(np.array([0, 10]), np.array([9]), 20) == [(1, 0)]
+
+
+def test_half_rate_depth_leaves_every_second_colour_unmatched() -> None:
+    colour = np.arange(10) * 33
+    assert len(pair(colour, colour[::2], 16)) == 5
+
+
+def test_stamp_faults_follow_their_rules() -> None:
+    header = np.array([10, 20, 0, 15, 30, 30, 10_000_000_000_040], dtype=np.int64)
+    log = np.array([11, 21, 26, 31, 32, 33, 41], dtype=np.int64)
+    stamps, ordinals, faults = clean_stamps(header, log, 0, 5_000_000_000)
+    assert stamps.tolist() == [10, 20, 26, 30, 10_000_000_000_040]
+    assert ordinals.tolist() == [0, 1, 2, 4, 6]
+    assert (faults.zero, faults.backward, faults.duplicate, faults.jump) == (1, 1, 1, 1)
+
+
+def test_clock_offset_is_added() -> None:
+    stamps, _, _ = clean_stamps(np.array([10, 20]), np.array([10, 20]), -3, 10**9)
+    assert stamps.tolist() == [7, 17]
+
+
+def test_default_tolerance_is_half_a_period() -> None:
+    assert tolerance_ns(np.arange(5) * 33_000_000, SyncConfig()) == 16_500_000
+    assert tolerance_ns(np.arange(5) * 10**9, SyncConfig()) == 50_000_000
+    assert tolerance_ns(np.arange(5), SyncConfig(tolerance_s=0.01)) == 10_000_000

@@ -1,0 +1,51 @@
+"""Catches: a review recording that Rerun refuses or that differs from run to run, a report that needs the network."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def test_review_is_accepted_by_rerun_and_small(demo_run: Path, demo: Path) -> None:
+    file = demo_run / "review" / "demo.rrd"
+    done = subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", str(file)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert file.stat().st_size < demo.stat().st_size
+
+
+def test_review_content_is_the_same_twice(demo_run: Path, demo: Path, dgeval: Run, tmp_path: Path) -> None:
+    from dgeval.rerun_view import content_digest
+
+    done = dgeval("replay", demo, "--out", tmp_path / "again")
+    assert done.returncode == 0, done.stderr
+    first, second = (content_digest(p / "review" / "demo.rrd") for p in (demo_run, tmp_path / "again"))
+    assert first == second
+
+
+def test_view_names_the_file_or_what_is_there(demo_run: Path, dgeval: Run) -> None:
+    done = dgeval("view", demo_run, "demo", "--path")
+    assert done.stdout.strip().endswith("demo.rrd")
+    missing = dgeval("view", demo_run, "nothing")
+    assert missing.returncode == 2
+    assert "demo" in missing.stderr
+
+
+def test_report_stands_alone_and_tells_the_trial(demo_run: Path, dgeval: Run, tmp_path: Path) -> None:
+    done = dgeval("report", demo_run, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page)
+    assert "https://" not in page
+    for said in ("demo", "success", "target lost", "TransT-M", "dgeval view", "<img"):
+        assert said in page
+
+
+def test_report_of_no_run_is_a_usage_error(tmp_path: Path, dgeval: Run) -> None:
+    done = dgeval("report", tmp_path)
+    assert done.returncode == 2
+    assert "not a finished run" in done.stderr
