@@ -703,7 +703,6 @@ def parse_definitions_once() -> None:
     from functools import cache
 
     import rosbags.highlevel.anyreader as anyreader
-
     from dgeval.recording.encodings import DECODERS
 
     for key, make in list(DECODERS.items()):

@@ -6,7 +6,6 @@ import math
 import struct
 
 import numpy as np
-
 from dgeval.determinism import ColumnDigest, fingerprint, generator
 from dgeval.schema import FRAMES, FRAMES_ADDED, STAGES, StageDigests
 

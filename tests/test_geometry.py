@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dgeval import geometry as g
+from dgeval.stages.plane import Plane
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
-
-from dgeval import geometry as g
-from dgeval.stages.plane import Plane
 
 numbers = st.floats(-2, 2, allow_nan=False)
 

@@ -8,10 +8,9 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from dgeval.recording.images import colour_from, decode_image, depth_from
 from hypothesis import given
 from hypothesis import strategies as st
-
-from dgeval.recording.images import colour_from, decode_image, depth_from
 
 RNG = np.random.default_rng(0)
 DEPTH = RNG.integers(0, 65536, (7, 9)).astype(np.uint16)

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-
 from dgeval.geometry import matrix_from_pose, transform
 from dgeval.recording.containers import open_container
 from dgeval.recording.scan import scan

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
-
 from dgeval.config import SyncConfig
 from dgeval.recording.synchronise import clean_stamps, pair, tolerance_ns
+from hypothesis import given
+from hypothesis import strategies as st
 
 rising = st.lists(st.integers(1, 100), max_size=25).map(lambda steps: np.cumsum(np.array(steps, dtype=np.int64)))
 

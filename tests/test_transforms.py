@@ -7,10 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
-
 from dgeval.errors import UsageError
 from dgeval.geometry import matrix_from_pose
 from dgeval.recording.containers import open_container
@@ -19,9 +15,12 @@ from dgeval.recording.messages import JointSample, event_of
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.scan import scan
 from dgeval.recording.transforms import Track, TransformTree
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "datasets"))
-from make_demo import CAMERA_FRAME, T_HAND_CAMERA, hand_pose, joints, urdf  # noqa: E402
+from make_demo import CAMERA_FRAME, T_HAND_CAMERA, hand_pose, joints, urdf
 
 
 def pose(x: float, yaw: float = 0.0) -> np.ndarray:

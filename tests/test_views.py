@@ -13,7 +13,9 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 def test_review_is_accepted_by_rerun_and_small(demo_run: Path, demo: Path) -> None:
     file = demo_run / "review" / "demo.rrd"
-    done = subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", str(file)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(file)], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert file.stat().st_size < demo.stat().st_size
 

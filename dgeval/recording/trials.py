@@ -93,10 +93,9 @@ def find_trials(paths: list[Path], events_topic: str | None = None) -> list[Tria
 
 
 def _is_recording(path: Path) -> bool:
+    """A recording file, or a ROS 2 folder with its metadata; without metadata its files stand for themselves."""
     if path.is_dir():
-        return any(p.suffix in (".mcap", ".db3") for p in path.iterdir() if p.is_file()) and (
-            (path / "metadata.yaml").exists() or len([p for p in path.iterdir() if p.suffix in (".mcap", ".db3")]) == 1
-        )
+        return (path / "metadata.yaml").is_file() and any(p.suffix in (".mcap", ".db3") for p in path.iterdir())
     return path.suffix in SUFFIXES
 
 

@@ -1,0 +1,140 @@
+"""What one variant's frame table says against the truth of its motion. mm, mm/s, s, degrees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from dgeval.geometry import Array, invert, matrix_from_pose, rotation_angle, transform
+from scipy.stats import chi2
+
+from benchmarks.rebase import Written
+
+SETTLE_S = 1.0
+MODEL = ["model_px", "model_py", "model_pz", "model_qx", "model_qy", "model_qz", "model_qw"]
+FEATURE = ["feature_px", "feature_py", "feature_pz"]
+VELOCITY = ["velocity_x", "velocity_y", "velocity_z"]
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """Errors of the velocity: RMSE over all frames and after SETTLE_S, median |error| after it (mm/s); NEES coverage."""
+
+    rmse_all: float
+    rmse: float
+    median: float
+    coverage: float
+    lag_s: float
+
+
+def velocity(frames: pd.DataFrame, written: Written, truth: Array) -> Velocity:
+    """`truth` (n, 3) m/s per frame at the feature point.
+
+    Coverage: share of settled frames with |error|^2 / velocity_sd^2 below the 95 % point of chi-square with 3 degrees of
+    freedom; velocity_sd, the largest axis' standard deviation, is taken for all three axes, which makes it optimistic.
+    Lag: from each start of the motion to 90 % of its speed along its direction, the median.
+    """
+    estimate = frames[VELOCITY].to_numpy(dtype=float)
+    error = np.linalg.norm(estimate - truth, axis=1) * 1e3
+    known = np.isfinite(error)
+    settled = known & (written.seconds - written.seconds[0] >= SETTLE_S)
+    sd = frames["velocity_sd"].to_numpy(dtype=float) * 1e3
+    inside = error[settled] ** 2 / sd[settled] ** 2 < chi2.ppf(0.95, 3)
+    return Velocity(
+        _rms(error[known]), _rms(error[settled]), _median(error[settled]),
+        float(inside.mean()) if settled.any() else float("nan"), _lag(estimate, truth, written),
+    )  # fmt: skip
+
+
+def _lag(estimate: Array, truth: Array, written: Written) -> float:
+    lags = []
+    for start in written.motion.starts(float(written.seconds[-1])):
+        moving = (written.seconds >= start) & (np.linalg.norm(truth, axis=1) > 0.01)
+        speed = np.linalg.norm(truth[moving], axis=1).max(initial=0.0)
+        along = estimate @ np.array(written.motion.direction)
+        reached = np.nonzero(moving & (along >= 0.9 * speed) & (written.seconds < start + 1.0))[0]
+        if speed > 0:
+            lags.append(written.seconds[reached[0]] - start if len(reached) else np.inf)
+    return float(np.median(lags)) if lags else float("nan")
+
+
+def rebased_truth(frames: pd.DataFrame, written: Written) -> Array:
+    """Velocity (n, 3) m/s of the feature point of an object that stands still in the source, base frame of the variant."""
+    places = frames[FEATURE].to_numpy(dtype=float)
+    start = written.seconds[0]
+    return np.array([written.motion.velocity(t - start, p) for t, p in zip(written.seconds, places, strict=True)])
+
+
+def camera_frame_truth(frames: pd.DataFrame, written: Written) -> Array:
+    """The same in the camera frame, for variants without camera poses: central differences of the recorded poses."""
+    places = frames[FEATURE].to_numpy(dtype=float)
+    good = np.nonzero(np.isfinite(places[:, 0]))[0]
+    if not len(good) or any(T is None for T in written.T_source):
+        return np.full((len(frames), 3), np.nan)
+    T = [t for t in written.T_source if t is not None]
+    world = np.median([transform(T[i], places[i][None])[0] for i in good], axis=0)
+    path = np.array([transform(invert(t), world[None])[0] for t in T])
+    return np.gradient(path, written.seconds, axis=0)
+
+
+def drift(frames: pd.DataFrame, written: Written) -> float:
+    """p95 of the feature point's distance from its median place in the source's base frame, mm: it stood still there."""
+    places = frames[FEATURE].to_numpy(dtype=float)
+    back = [transform(invert(M), p[None])[0] for M, p in zip(written.M, places, strict=True) if np.isfinite(p[0])]
+    if not back:
+        return float("nan")
+    return float(np.quantile(np.linalg.norm(np.array(back) - np.median(back, axis=0), axis=1), 0.95) * 1e3)
+
+
+def gap(frames: pd.DataFrame, written: Written) -> tuple[float, float, float]:
+    """Around the longest pause: |predicted - true| of the feature point at the first frame after it, the same of what
+    the table then says, both mm; seconds until the next accepted registration."""
+    places, speeds = frames[FEATURE].to_numpy(dtype=float), frames[VELOCITY].to_numpy(dtype=float)
+    i = int(np.argmax(np.diff(written.seconds)))
+    dt = float(written.seconds[i + 1] - written.seconds[i])
+    true = transform(written.M[i + 1] @ invert(written.M[i]), places[i][None])[0]
+    predicted = float(np.linalg.norm(places[i] + speeds[i] * dt - true) * 1e3)
+    said = float(np.linalg.norm(places[i + 1] - true) * 1e3)
+    accepted = np.nonzero(~frames["predicted"].to_numpy(dtype=bool)[i + 1 :])[0]
+    again = float(written.seconds[i + 1 + accepted[0]] - written.seconds[i + 1]) if len(accepted) else float("inf")
+    return predicted, said, again
+
+
+def pose_errors(frames: pd.DataFrame, T_camera_object: list[Array]) -> tuple[Array, Array]:
+    """Errors of T_camera_model at the object's centre (mm) and in angle (deg), after one constant alignment of the two."""
+    rows = np.nonzero(frames["model_px"].notna().to_numpy())[0]
+    seen = [matrix_from_pose(frames.loc[i, MODEL].to_numpy(dtype=float)) for i in rows]
+    relative = np.array([invert(T_camera_object[i]) @ T for i, T in zip(rows, seen, strict=True)])
+    if not len(relative):
+        return np.zeros(0), np.zeros(0)
+    U, _, Vt = np.linalg.svd(relative[:, :3, :3].sum(axis=0))
+    A = np.eye(4)
+    A[:3, :3] = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+    # the place of the object's centre in the model frame, then the shift that goes with the mean rotation
+    centres = np.array([transform(invert(T), np.zeros((1, 3)))[0] for T in relative])
+    A[:3, 3] = -A[:3, :3] @ np.median(centres, axis=0)
+    believed = [T @ invert(A) for T in seen]
+    place = [float(np.linalg.norm(b[:3, 3] - T_camera_object[i][:3, 3])) * 1e3 for i, b in zip(rows, believed, strict=True)]
+    turn = [np.rad2deg(rotation_angle(b[:3, :3].T @ T_camera_object[i][:3, :3])) for i, b in zip(rows, believed, strict=True)]
+    return np.array(place), np.array(turn)
+
+
+def box_iou(frames: pd.DataFrame, boxes: list[tuple[float, float, float, float]]) -> Array:
+    """Intersection over union of the tracked box with the true one, frames with a box only."""
+    out = []
+    for row, true in zip(frames[["box_x0", "box_y0", "box_x1", "box_y1"]].to_numpy(dtype=float), boxes, strict=True):
+        if np.isfinite(row[0]):
+            w, h = min(row[2], true[2]) - max(row[0], true[0]), min(row[3], true[3]) - max(row[1], true[1])
+            both = max(w, 0.0) * max(h, 0.0)
+            areas = (row[2] - row[0]) * (row[3] - row[1]) + (true[2] - true[0]) * (true[3] - true[1])
+            out.append(both / (areas - both))
+    return np.array(out)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
