@@ -105,8 +105,7 @@ def two_trials(demo: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("manifest")
     text = 'name = "pair"\n'
     for name, a, b in (("early", 0, 14), ("later", 14, 26)):
-        box = "" if name == "later" else ""
-        text += f'[[trial]]\nid = "{name}"\nrecording = "{demo}"\nframes = [{a}, {b}]\n{box}'
+        text += f'[[trial]]\nid = "{name}"\nrecording = "{demo}"\nframes = [{a}, {b}]\n'
     (folder / "pair.toml").write_text(text)
     return folder / "pair.toml"
 

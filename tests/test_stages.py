@@ -101,7 +101,7 @@ def test_plane_is_found_among_clutter_and_faces_the_camera() -> None:
 
 
 def test_no_plane_in_a_ball() -> None:
-    points = np.random.default_rng(1).normal(0, 0.2, (600, 3)) + [0, 0, 1]
+    points = np.random.default_rng(1).normal(0, 0.2, (600, 3)) + np.array([0, 0, 1])
     assert fit_plane(points, generator(0, "plane", 0), PlaneConfig(min_support=0.5)) is None
 
 
@@ -117,7 +117,7 @@ def box_cloud(rng: np.random.Generator, n: int, noise: float = 0.0) -> tuple[np.
         points.append(p)
         normals.append(np.tile(np.eye(3)[axis] * sign, (n // 3, 1)))
     p = np.vstack(points) + rng.normal(0, noise, (3 * (n // 3), 3)) if noise else np.vstack(points)
-    return p + [0, 0, 0.6], np.vstack(normals)
+    return p + np.array([0, 0, 0.6]), np.vstack(normals)
 
 
 @pytest.mark.parametrize("name", sorted(BACKENDS))
@@ -181,7 +181,7 @@ def test_gate_fitness_sees_the_shift_that_plain_fitness_does_not() -> None:
     """A 10 mm shift scores 1.00 at 20 mm on a box (PAPERS A4); the gate counts within 5 mm."""
     rng = np.random.default_rng(5)
     points, normals = box_cloud(rng, 3000)
-    moved = Observation(points[::3] + [0.01, 0.01, 0.01], normals[::3])
+    moved = Observation(points[::3] + 0.01, normals[::3])
     c = RegistrationConfig(max_iterations=1, search_radius=0.02)
     tree = KdTree(points)
     distance = np.sqrt(tree.batch_nearest_neighbor_search(moved.points)[1])

@@ -140,7 +140,8 @@ def test_mimic_joints_follow() -> None:
 
 def test_missing_meshes_become_capsules_and_are_told() -> None:
     text = """<robot name="m"><link name="a"><visual><geometry><mesh filename="package://x/a.stl"/></geometry></visual></link>
-      <link name="b"/><joint name="j" type="fixed"><parent link="a"/><child link="b"/><origin xyz="0 0.3 0.4"/></joint></robot>"""
+      <link name="b"/>
+      <joint name="j" type="fixed"><parent link="a"/><child link="b"/><origin xyz="0 0.3 0.4"/></joint></robot>"""
     found = load_description(text, "m", (), 0.02)
     capsule = found.shapes["a"][0]
     assert (capsule.kind, capsule.size) == ("capsule", (0.02, pytest.approx(0.25)))
@@ -165,5 +166,5 @@ def test_joint_track_survives_reordered_names_and_missing_values() -> None:
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"event": 3}', '{"event": "close", "t_ns": "now"}'])
 def test_malformed_events_are_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="."):
+    with pytest.raises(ValueError, match=r"."):
         event_of(text, 0)

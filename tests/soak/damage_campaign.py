@@ -80,7 +80,7 @@ def damage_bytes(report: Report, kinds: list[d.Kind], seeds: int, cli_every: int
             outcome = d.in_child(lambda p=path, g=good: d.read_outcome(p, g.messages, g.kind.checked))
             report.add(kind.name, case.mutation, case.detail, outcome)
             met[case.mutation] += 1
-            if met[case.mutation] % cli_every == 1 or cli_every == 1:
+            if cli_every and met[case.mutation] % cli_every == min(1, cli_every - 1):
                 _through_cli(report, kind, case, path, outcome, scratch)
         print(f"{kind.name}: {sum(met.values())} cases", file=sys.stderr, flush=True)
 
@@ -179,7 +179,7 @@ def main() -> int:
     parser.add_argument("--only", default="", help="containers whose name contains this")
     parser.add_argument("--parts", default="bytes,bombs,contents,real", help="parts of the campaign, comma between")
     parser.add_argument(
-        "--cli-every", type=int, default=12, help="every n-th case of a mutation goes through the command line too"
+        "--cli-every", type=int, default=1000, help="every n-th case of a mutation goes through the command line too"
     )
     parser.add_argument("--containers", default="mcap,bag,db3", help="containers of the wrong contents")
     args = parser.parse_args()
