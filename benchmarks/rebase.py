@@ -21,7 +21,6 @@ from datasets.write_mcap import (
     TYPES,
     McapWriter,
     camera_info_message,
-    compressed_depth_message,
     header,
     message,
     pose_message,
@@ -63,7 +62,7 @@ def rebase(
     stamps = [images[k][0] for k in range(len(images))]
     period = int(np.median(np.diff(stamps))) if len(stamps) > 1 else 33_333_333
     base, camera = trial.robot.base_frame or "base", trial.robot.camera_frame
-    has_topic = any(t.type == "geometry_msgs/msg/PoseStamped" and t.name == "/camera_pose" for t in trial.opened.topics.values())
+    has_topic = "/camera_pose" in trial.opened.topics
     assert trial.roles.colour is not None
     assert trial.roles.depth is not None
     written: list[tuple[int, Array, Array | None, int]] = []
@@ -91,8 +90,8 @@ def rebase(
                 writer.write(trial.roles.depth, t_ns, _restamped(depth, t_ns))
             else:
                 metres = depth_from(decode_image(depth), trial.config.calibration.depth_scale)
-                moved_depth = compressed_depth_message(t_ns, camera, colour_camera.register(metres, trial.camera))
-                writer.write("/camera/depth_in_colour/compressedDepth", t_ns, moved_depth)
+                moved_depth = raw_depth_message(t_ns, camera, colour_camera.register(metres, trial.camera))
+                writer.write("/camera/depth_in_colour/image_raw", t_ns, moved_depth)
             written.append((t_ns, M, T, k))
     t_list = [w[0] for w in written]
     seconds = (np.array(t_list) - stamps[0]) * 1e-9
@@ -112,6 +111,16 @@ def _images(trial: Trial) -> list[tuple[int, Any, Any]]:
         if at is not None:
             out[at][role] = trial.opened.decode(raw)
     return [(t, colour, depth) for t, colour, depth in out]
+
+
+def raw_depth_message(t_ns: int, frame_id: str, millimetres: Any) -> Any:
+    """uint16 mm (H, W) as sensor_msgs/Image 16UC1; packing noisy depth as PNG takes a second a frame."""
+    height, width = millimetres.shape
+    data = np.ascontiguousarray(millimetres, dtype="<u2").view(np.uint8).ravel()
+    return message(
+        "sensor_msgs/Image", header=header(t_ns, frame_id), height=height, width=width, encoding="16UC1", is_bigendian=0,
+        step=2 * width, data=data,
+    )  # fmt: skip
 
 
 def _restamped(value: Any, t_ns: int) -> Any:

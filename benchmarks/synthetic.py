@@ -14,7 +14,6 @@ from datasets.raycast import Box, Scene, add_noise, printed, render, speckle
 from datasets.write_mcap import (
     McapWriter,
     camera_info_message,
-    compressed_depth_message,
     jpeg_message,
     message,
     transform_message,
@@ -22,6 +21,7 @@ from datasets.write_mcap import (
 from dgeval.geometry import Array, Intrinsics, increment, pose_from_matrix
 
 from benchmarks.motion import steps
+from benchmarks.rebase import raw_depth_message
 
 START_NS = 1_780_000_000_000_000_000
 CAMERA = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
@@ -84,8 +84,8 @@ def write(out: Path, n: int = 99, speed: float = 0.0, seed: int = 1, distance: f
             writer.write("/tf", t_ns, message("tf2_msgs/TFMessage", transforms=[moved]))
             writer.write("/camera/color/camera_info", t_ns, camera_info_message(t_ns, FRAME, CAMERA))
             writer.write("/camera/color/image_raw/compressed", t_ns, jpeg_message(t_ns, FRAME, colour, 95))
-            depth_topic = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
-            writer.write(depth_topic, t_ns, compressed_depth_message(t_ns, FRAME, millimetres))
+            depth_topic = "/camera/aligned_depth_to_color/image_raw"
+            writer.write(depth_topic, t_ns, raw_depth_message(t_ns, FRAME, millimetres))
     return truth
 
 

@@ -9,12 +9,14 @@ foreign exceptions, hangs, memory out of proportion, tracebacks and wrong exit c
 from __future__ import annotations
 
 import argparse
+import itertools
 import re
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -74,15 +76,21 @@ def damage_bytes(report: Report, kinds: list[d.Kind], seeds: int, cli_every: int
     for kind in kinds:
         good = d.make_good(kind, _fresh(scratch, kind.name.replace(" ", "-").replace(",", "")))
         met: Counter[str] = Counter()
-        for case in d.cases(good, seeds):
-            folder = _fresh(scratch, "case")
-            path = d.place_case(good, case, folder)
-            outcome = d.in_child(lambda p=path, g=good: d.read_outcome(p, g.messages, g.kind.checked))
-            report.add(kind.name, case.mutation, case.detail, outcome)
-            met[case.mutation] += 1
-            if cli_every and met[case.mutation] % cli_every == min(1, cli_every - 1):
-                _through_cli(report, kind, case, path, outcome, scratch)
+        for batch in _batches(d.cases(good, seeds), 40):
+            paths = [d.place_case(good, case, _fresh(scratch, f"case{i}")) for i, case in enumerate(batch)]
+            outcomes = d.in_children([lambda p=p: d.read_outcome(p, good.messages, kind.checked) for p in paths])
+            for case, path, outcome in zip(batch, paths, outcomes, strict=True):
+                report.add(kind.name, case.mutation, case.detail, outcome)
+                met[case.mutation] += 1
+                if cli_every and met[case.mutation] % cli_every == min(1, cli_every - 1):
+                    _through_cli(report, kind, case, path, outcome, scratch)
         print(f"{kind.name}: {sum(met.values())} cases", file=sys.stderr, flush=True)
+
+
+def _batches(items: Iterable[d.Case], size: int) -> Iterator[list[d.Case]]:
+    iterator = iter(items)
+    while batch := list(itertools.islice(iterator, size)):
+        yield batch
 
 
 def _through_cli(report: Report, kind: d.Kind, case: d.Case, path: Path, outcome: d.Outcome, scratch: Path) -> None:

@@ -1,0 +1,177 @@
+"""Tracking and fusion on rendered frames with exact truth. Catches: a hand fused into the target, drift, a track that
+outlives its target, a pose made up where there is no depth, a window taken for the image."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from dgeval.config import load_config
+from dgeval.geometry import Intrinsics, invert, rotation_angle
+from dgeval.recording.description import LinkShape
+from dgeval.recording.frame import Frame
+from dgeval.replay import Step, replay
+from dgeval.stages.tracking_model import ModelTracker, TrackingInput
+from scipy.spatial.transform import Rotation
+
+from raycast import Box, Capsule, Scene, add_noise, printed, render, speckle
+
+CAMERA = Intrinsics(320, 240, 290.0, 290.0, 160.0, 120.0)
+HALF = (0.05, 0.035, 0.04)
+PERIOD_NS = 33_333_333
+
+
+def at(x: float, y: float, z: float, yaw: float = 0.0) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([0, 0, yaw]).as_matrix()
+    T[:3, 3] = (x, y, z)
+    return T
+
+
+# looking down at the table, a little tilted
+T_BASE_CAMERA = at(0, 0, 0.6) @ np.vstack(
+    [np.hstack([Rotation.from_rotvec([np.pi - 0.35, 0, 0]).as_matrix(), np.zeros((3, 1))]), [0, 0, 0, 1]]
+)
+
+
+def world(seed: int = 0) -> tuple[Scene, Box]:
+    rng = np.random.default_rng(seed)
+    return Scene(speckle(rng, (120, 110, 100), 14)), Box(HALF, [printed(rng, (60, 110, 170)) for _ in range(6)])
+
+
+def make(n: int, path: Any, hand: Any = None, no_depth: Any = lambda k: False) -> tuple[list[Frame], list[tuple[float, ...]]]:
+    """Frames of a box that follows `path(k)` (T_base_object) under a resting camera, and its true visible boxes."""
+    rng = np.random.default_rng(1)
+    scene, box = world()
+    frames, boxes = [], []
+    for k in range(n):
+        scene.solids = [(box, path(k))]
+        shapes = None
+        if hand is not None:
+            scene.solids.append((Capsule(0.012, 0.05, (90, 90, 95)), hand(k)))
+            shape = LinkShape("finger", "capsule", np.eye(4), (0.012, 0.05), bound=0.062)
+            shapes = [(shape, invert(T_BASE_CAMERA) @ hand(k))]
+        colour, depth, ids = render(scene, CAMERA, T_BASE_CAMERA)
+        v, u = np.nonzero(ids == 0)
+        boxes.append((float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)) if len(u) else (0, 0, 0, 0))
+        colour, millimetres = add_noise(rng, colour, depth)
+        metres = millimetres.astype(np.float32) * np.float32(0.001)
+        if no_depth(k):
+            metres[ids == 0] = 0.0
+        frames.append(Frame(k, 10**15 + k * PERIOD_NS, colour, metres, CAMERA, T_BASE_CAMERA, None, shapes))
+    return frames, boxes
+
+
+def run(frames: list[Frame], box: tuple[float, ...], *settings: str) -> list[Step]:
+    trial: Any = SimpleNamespace(
+        robot=SimpleNamespace(base_frame="base", T_base_palm=lambda _: None),
+        spec=SimpleNamespace(bbox=box, bbox_time_ns=None),
+        event_ns=lambda _: None,
+        frames=lambda: iter(frames),
+    )
+    return list(replay(trial, load_config("dynamic", settings)))
+
+
+def slide(k: int) -> np.ndarray:
+    return at(-0.08 + 0.004 * k, -0.2, HALF[2], 0.4 + 0.01 * k)
+
+
+@pytest.fixture(scope="module")
+def sliding() -> tuple[list[Frame], list[tuple[float, ...]], list[Step]]:
+    frames, boxes = make(30, slide)
+    return frames, boxes, run(frames, boxes[0])
+
+
+def test_pose_follows_a_sliding_and_turning_box(sliding: Any) -> None:
+    _, _, steps = sliding
+    off = []
+    for k, step in enumerate(steps):
+        assert step.T_camera_model is not None
+        T_model_object = invert(step.T_camera_model) @ invert(T_BASE_CAMERA) @ slide(k)
+        off.append(T_model_object)
+    middle = off[15]
+    assert np.median([np.linalg.norm(T[:3, 3] - middle[:3, 3]) for T in off]) < 0.0015
+    assert np.degrees(np.median([rotation_angle(middle[:3, :3].T @ T[:3, :3]) for T in off])) < 1.2
+
+
+def test_boxes_are_those_of_the_target(sliding: Any) -> None:
+    _, boxes, steps = sliding
+    overlaps = []
+    for step, b in zip(steps, boxes, strict=True):
+        a = step.tracked.box
+        assert a is not None
+        w, h = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
+        overlaps.append(w * h / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - w * h))
+    assert np.mean(overlaps) > 0.9
+
+
+def test_velocity_is_the_slide(sliding: Any) -> None:
+    last = sliding[2][-1].row
+    assert last["velocity_x"] == pytest.approx(0.12, abs=0.02)
+    assert abs(last["velocity_y"]) < 0.02
+
+
+def test_the_model_stays_the_size_of_the_box(sliding: Any) -> None:
+    model = sliding[2][-1].model
+    assert model is not None
+    T = invert(invert(sliding[2][0].T_camera_model) @ invert(T_BASE_CAMERA) @ slide(0))
+    local = model.points @ T[:3, :3].T + T[:3, 3]
+    assert (np.abs(local) - np.array(HALF)).max() < 0.008
+
+
+def finger(k: int) -> np.ndarray:
+    """Upright beside the box, touching it, in front of part of it for the camera."""
+    T = slide(k)
+    return T @ at(0.0, HALF[1] + 0.013, 0.03)
+
+
+def test_a_touching_finger_is_not_part_of_the_target() -> None:
+    frames, boxes = make(8, slide, hand=finger)
+    tracker = ModelTracker(load_config())
+    x0, y0, x1, y1 = boxes[0]
+    tracked = tracker.step(TrackingInput(frames[0], (x0 - 4, y0 - 4, x1 + 4, y1 + 12), None, None, None, False))
+    assert tracked.mask is not None
+    steps = run(frames, (x0 - 4, y0 - 4, x1 + 4, y1 + 12))
+    model = steps[-1].model
+    assert model is not None
+    assert steps[0].T_camera_model is not None
+    T = invert(finger(0)) @ T_BASE_CAMERA
+    local = model.points @ T[:3, :3].T + T[:3, 3]
+    axial = np.maximum(np.abs(local[:, 2]) - 0.05, 0)
+    to_finger = np.sqrt(local[:, 0] ** 2 + local[:, 1] ** 2 + axial**2) - 0.012
+    # what is left near the finger is the face of the box that it touches, never its own surface
+    on_finger = (np.abs(to_finger) < 0.003) & (local[:, 1] > -0.005)
+    assert on_finger.mean() < 0.01
+    bare = run([Frame(**{**f.__dict__, "hand": None}) for f in frames], (x0 - 4, y0 - 4, x1 + 4, y1 + 12))
+    model = bare[-1].model
+    assert model is not None
+    local = model.points @ T[:3, :3].T + T[:3, 3]
+    axial = np.maximum(np.abs(local[:, 2]) - 0.05, 0)
+    to_finger = np.sqrt(local[:, 0] ** 2 + local[:, 1] ** 2 + axial**2) - 0.012
+    assert ((np.abs(to_finger) < 0.003) & (local[:, 1] > -0.005)).mean() > 0.03
+
+
+def test_a_box_that_leaves_is_lost_and_stays_lost() -> None:
+    frames, boxes = make(26, lambda k: at(0.05 + 0.016 * k, -0.2, HALF[2]))
+    states = [s.row["tracking"] for s in run(frames, boxes[0])]
+    assert states[:8] == ["tracked"] * 8
+    first = states.index("lost")
+    assert set(states[first:]) == {"lost"}
+
+
+def test_without_depth_the_box_is_followed_and_no_pose_is_made_up() -> None:
+    frames, boxes = make(14, slide, no_depth=lambda k: True)
+    steps = run(frames, boxes[0])
+    assert all(s.row["tracking"] == "tracked" for s in steps)
+    assert all(s.row.get("model_px") is None and s.row.get("velocity_x") is None for s in steps)
+    assert np.abs(np.array(steps[-1].tracked.box) - np.array(boxes[-1])).max() < 8
+
+
+def test_a_gap_in_the_frames_is_bridged_by_the_velocity() -> None:
+    frames, boxes = make(30, slide)
+    steps = run([f for f in frames if not 12 <= f.index < 22], boxes[0])
+    after = steps[12]
+    assert after.row["tracking"] == "tracked"
+    assert after.row["icp_accepted"]
