@@ -8,6 +8,7 @@ from dgeval.config import (
     EstimationConfig,
     ExecutionConfig,
     FusionConfig,
+    ObservationConfig,
     PlaneConfig,
     RegistrationConfig,
     SelectionConfig,
@@ -17,17 +18,19 @@ from dgeval.determinism import generator
 from dgeval.errors import MissingDependencyError
 from dgeval.geometry import Intrinsics, increment, invert, matrix_from_pose, transform
 from dgeval.recording.description import LinkShape
+from dgeval.recording.frame import Frame
 from dgeval.stages import align
 from dgeval.stages.estimation import VelocityFilter
 from dgeval.stages.execution import execute
 from dgeval.stages.fusion import Fusion, supported
+from dgeval.stages.observation import observe
 from dgeval.stages.plane import fit_plane
 from dgeval.stages.registration import BACKENDS, gate, register
 from dgeval.stages.schedule import Delayed
 from dgeval.stages.selection import Grasp, grasp_metric, select
 from dgeval.stages.self_filter import hand_pixels, signed_distance
 from dgeval.stages.servo import Servo, blend_rotation, look_at_rotation
-from dgeval.stages.types import Model, Observation, Registration
+from dgeval.stages.types import Model, Observation, Registration, Tracked
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -103,6 +106,28 @@ def test_plane_is_found_among_clutter_and_faces_the_camera() -> None:
 def test_no_plane_in_a_ball() -> None:
     points = np.random.default_rng(1).normal(0, 0.2, (600, 3)) + np.array([0, 0, 1])
     assert fit_plane(points, generator(0, "plane", 0), PlaneConfig(min_support=0.5)) is None
+
+
+# observation
+
+
+def test_observation_keeps_what_is_near_the_median_depth() -> None:
+    """Paper III-A.2: |z - median z| <= 0.1 m, in the camera's z, whatever the range."""
+    depth = np.full((240, 320), 0.5, np.float32)
+    depth[100:110, 100:120] = 0.59
+    depth[110:120, 100:120] = 0.61
+    frame = Frame(0, 0, np.zeros((240, 320, 3), np.uint8), depth, CAMERA, None, None)
+    mask = np.ones((40, 40), dtype=bool)
+    tracked = Tracked("tracked", window=(90, 90, 130, 130), mask=mask, mask_area=1600)
+    seen = observe(frame, tracked, generator(0, "observation", 0), ObservationConfig(max_points=5000))
+    assert seen is not None
+    assert sorted({round(float(z), 2) for z in seen.points[:, 2]}) == [0.5, 0.59]
+    assert len(seen.points) == 1400
+    few = observe(frame, tracked, generator(0, "observation", 0), ObservationConfig(max_points=300))
+    assert few is not None
+    assert len(few.points) == 300
+    assert np.median(few.normals[np.linalg.norm(few.normals, axis=1) > 0.5][:, 2]) < -0.99
+    assert observe(frame, tracked, generator(0, "observation", 0), ObservationConfig(min_points=1500)) is None
 
 
 # alignment and registration

@@ -95,12 +95,10 @@ def _batches(items: Iterable[d.Case], size: int) -> Iterator[list[d.Case]]:
 
 def _through_cli(report: Report, kind: d.Kind, case: d.Case, path: Path, outcome: d.Outcome, scratch: Path) -> None:
     intact: bool | None = None
-    if outcome.kind in (d.COMPLETE_SAID, d.PREFIX, d.ERROR):
+    if outcome.kind in (d.COMPLETE_SAID, d.PREFIX, d.ERROR, d.OTHER_ORDER, d.CHANGED_SAID):
         intact = False
     elif outcome.kind == d.COMPLETE:
         intact = True
-    elif outcome.kind == d.VIOLATION:
-        intact = None
     for command in ("inspect", "replay"):
         result = d.in_child(lambda c=command: _cli(c, path, intact, scratch), seconds=60, extra_mb=3000)
         report.add(f"cli {command}, {kind.layout}", case.mutation, f"{kind.name}, {case.detail}", result)
@@ -124,7 +122,7 @@ def bombs(report: Report, scratch: Path) -> None:
     for compression in ("zstd", "lz4"):
         path = _fresh(scratch, "bomb") / "bomb.mcap"
         path.write_bytes(d.bomb(compression, 7 << 28))
-        outcome = d.in_child(lambda p=path: d.read_outcome(p, [], True), extra_mb=6000)
+        outcome = d.in_child(lambda p=path: d.read_outcome(p, [], "chunk"), extra_mb=6000)
         if outcome.kind != d.VIOLATION and outcome.peak_mb > PEAK_MB:
             outcome.detail = f"{outcome.peak_mb:.0f} MB resident for a file of {path.stat().st_size} bytes; {outcome.detail}"
             outcome.kind = d.VIOLATION
