@@ -26,6 +26,8 @@ def inspect(
 
     found = inspect_recording(path, load_config(pipeline, tuple(set_ or ())))
     code = EXIT_DATA_LOST if found["damage"] else EXIT_OK
+    for damage in found["damage"]:
+        typer.echo(f"damage: {damage}", err=True)
     if json_:
         print_json({**found, "exit_code": code})
     else:
@@ -36,9 +38,7 @@ def inspect(
 def _print(found: dict[str, Any]) -> None:
     typer.echo(f"{found['file']}: {found['kind']}, {found['bytes'] / 1e6:.1f} MB")
     typer.echo(f"checksums: {found['checksums']}")
-    typer.echo("damage: " + ("none found" if not found["damage"] else ""))
-    for damage in found["damage"]:
-        typer.echo(f"  {damage}")
+    typer.echo("damage: " + (f"{len(found['damage'])} found, told above" if found["damage"] else "none found"))
     typer.echo("topics:")
     for t in found["topics"]:
         rate = f"{t['rate_hz']:.1f} Hz, largest gap {t['largest_gap_s']:.3f} s" if t.get("rate_hz") else ""

@@ -10,10 +10,11 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
+import lz4.frame
 import mcap.exceptions
 import mcap.records
 import zstandard
@@ -27,6 +28,14 @@ from dgeval.recording.encodings import DECODERS
 
 FOOTER_LENGTH = 1 + 8 + 20
 MAX_CHUNK_BYTES = 1 << 30
+# what may stand before the end of the data section
+DATA_KINDS = frozenset(
+    int(k)
+    for k in (
+        Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
+        Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END,
+    )
+)  # fmt: skip
 
 # What the mcap, zstd and lz4 libraries raise on broken bytes (measured on the damaged corpus of the tests).
 BROKEN = (
@@ -197,8 +206,12 @@ class McapContainer:
             yield from pending
 
     def _fault(self, damage: Damage) -> None:
-        if damage not in self.damage:
-            self.damage.append(damage)
+        """Keep a fault once; a pass that got messages knows from when on they are lost."""
+        for i, known in enumerate(self.damage):
+            if (known.what, known.place) == (damage.what, damage.place):
+                self.damage[i] = damage if known.lost_from_ns is None else known
+                return
+        self.damage.append(damage)
 
     def _read_chunk(self, stream: IO[bytes], offset: int, topics: frozenset[str] | None) -> list[RawMessage]:
         stream.seek(offset)
@@ -210,12 +223,11 @@ class McapContainer:
     def _open_chunk(self, chunk: mcap.records.Chunk, offset: int, topics: frozenset[str] | None) -> list[RawMessage]:
         if chunk.uncompressed_size > MAX_CHUNK_BYTES:
             raise mcap.exceptions.McapError(f"a chunk claims {chunk.uncompressed_size} bytes, over dgeval's limit of 1 GiB")
-        if chunk.compression not in ("", "lz4", "zstd"):
-            raise mcap.exceptions.McapError(f"unknown compression {chunk.compression!r}")
         if chunk.uncompressed_crc == 0:
             self._zero_crcs = True
+        plain = replace(chunk, compression="", data=_expand(chunk))
         out: list[RawMessage] = []
-        for record in breakup_chunk(chunk, validate_crc=True):
+        for record in breakup_chunk(plain, validate_crc=True):
             message = self._take(record, offset, topics)
             if message is not None:
                 out.append(message)
@@ -245,6 +257,7 @@ class McapContainer:
             reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=self._size)
             try:
                 for record in reader.records:
+                    self._check_kinds(stream, offset or len(MCAP_MAGIC))
                     if isinstance(record, mcap.records.Chunk):
                         for message in sorted(self._open_chunk(record, offset, topics), key=lambda m: m.log_ns):
                             last_ns = message.log_ns
@@ -271,9 +284,38 @@ class McapContainer:
                 what = f"the file breaks off or is damaged ({describe(error)})"
                 self._fault(Damage(what, self._place(offset), last_ns))
 
+    def _check_kinds(self, stream: IO[bytes], start: int) -> None:
+        """The reader passes over records it has no use for in silence; a flipped kind would take its chunk along."""
+        end = stream.tell()
+        stream.seek(start)
+        kind = stream.read(1)[0]
+        stream.seek(end)
+        if kind not in DATA_KINDS:
+            raise mcap.exceptions.McapError(f"a record of kind {kind} has no place in the data")
+
     def _refuse_unchunked(self) -> NoReturn:
         what = "the CRC over the data section does not match, and without chunks nothing says where"
         raise UnreadableError(what, self._place(), "record again or use `mcap recover`")
+
+
+def _expand(chunk: mcap.records.Chunk) -> bytes:
+    """A chunk's bytes, never more than it claims: a few bytes can expand to gigabytes."""
+    size = chunk.uncompressed_size
+    if chunk.compression == "":
+        data = chunk.data
+    elif chunk.compression == "zstd":
+        stated = zstandard.frame_content_size(chunk.data)
+        if stated not in (-1, size):
+            raise mcap.exceptions.McapError(f"a chunk of {size} bytes holds a frame of {stated}")
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            data = reader.read(size + 1)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    else:
+        raise mcap.exceptions.McapError(f"unknown compression {chunk.compression!r}")
+    if len(data) != size:
+        raise mcap.exceptions.McapError(f"a chunk claims {size} bytes and expands to {len(data)} or more")
+    return bytes(data)
 
 
 def _refuse(why: str, place: Place) -> Callable[[bytes], Any]:

@@ -15,6 +15,9 @@ from dgeval.errors import Damage, Place, UndecodableError, UnreadableError
 from dgeval.recording.containers import RawMessage, Topic, describe
 
 
+ORPHANS = "SELECT COUNT(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM topics)"
+
+
 class RosbagsContainer:
     """A `.bag` or `.db3` recording. A flipped bit in it can't be noticed: only a manifest's sha256 tells."""
 
@@ -66,10 +69,14 @@ class RosbagsContainer:
                 connection = sqlite3.connect(f"file:{file}?mode=ro&immutable=1", uri=True)
                 try:
                     verdict = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+                    orphans = connection.execute(ORPHANS).fetchone()[0] if verdict == "ok" else 0
                 finally:
                     connection.close()
             except (sqlite3.Error, UnicodeDecodeError) as error:
                 raise UnreadableError(f"the SQLite file is damaged ({describe(error)})", Place(str(file))) from error
+            if orphans:
+                what = f"{orphans} messages belong to no topic of the file and can't be used"
+                self.damage.append(Damage(what, Place(str(file))))
             if verdict != "ok":
                 raise UnreadableError(f"the SQLite file is damaged ({verdict})", Place(str(file)))
 
@@ -85,6 +92,8 @@ class RosbagsContainer:
             while True:
                 try:
                     connection, log_ns, raw = next(stream)
+                    if not isinstance(raw, bytes | bytearray | memoryview):
+                        raise TypeError(f"a message is stored as {type(raw).__name__}, not as bytes")
                 except StopIteration:
                     return
                 except Exception as error:
