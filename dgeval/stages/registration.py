@@ -129,8 +129,7 @@ def register(
         return Registration(T_camera_model, 0.0, 0.0, None, "not_finite")
     T = invert(np.asarray(T, dtype=np.float64))
     tree = KdTree(model.points, num_threads=1)
-    if config.colour and features is not None and len(features.points) >= 6:
-        T = _refine(T, observation, model, tree, features, camera, config)
+    T = _refine(T, observation, model, tree, features if config.colour else None, camera, config)
     _, distance = nearest(tree, transform(invert(T), observation.points))
     matched = distance < config.search_radius
     limit = np.maximum(config.gate_distance, 2 * depth_sigma(observation.points[:, 2]))
@@ -143,11 +142,15 @@ def _refine(
     observation: Observation,
     model: Model,
     tree: KdTree,
-    features: Features,
+    features: Features | None,
     camera: Intrinsics,
     config: RegistrationConfig,
 ) -> Array:
-    """What geometry leaves open (a plane sliding in itself) settled by the features; both weigh by their noise."""
+    """Point to plane on the model's own normals, and what geometry leaves open settled by the features.
+
+    The normals were measured in the depth image; those a library estimates anew from the merged points are noisier and
+    cost degrees on a small box at 1 m (benchmarks/registration.py). Both terms weigh by their noise.
+    """
     sigma = depth_sigma(observation.points[:, 2])
     for cutoff_m, cutoff_px in ((0.010, 3.0), (0.006, 2.0)):
         index, distance = nearest(tree, transform(invert(T), observation.points))
@@ -155,12 +158,15 @@ def _refine(
         q = transform(T, model.points[index[found]])
         n = model.normals[index[found]] @ T[:3, :3].T
         H, g, used = align.depth_normal_equations(q, observation.points[found], n, sigma[found], cutoff_m)
-        Hf, gf, used_features = align.feature_normal_equations(
-            transform(T, features.points), features.pixels, camera, cutoff_px
-        )
+        used_features = 0
+        if features is not None and len(features.points) >= 6:
+            Hf, gf, used_features = align.feature_normal_equations(
+                transform(T, features.points), features.pixels, camera, cutoff_px
+            )
+            H, g = H + Hf, g + gf
         if used < 20 and used_features < 8:
             return T
-        T = align.solve(H + Hf, g + gf) @ T
+        T = align.solve(H, g) @ T
     return T
 
 
