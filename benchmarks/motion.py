@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,9 +56,3 @@ def steps(t: float) -> float:
     """Seconds spent moving until t: stand, go, stand, go, …"""
     whole, rest = divmod(t, STAND_S + GO_S)
     return float(whole * GO_S + max(0.0, rest - STAND_S))
-
-
-def central_velocity(times: Array, positions: Array) -> Callable[[int], Array]:
-    """Velocity (3,) m/s at index i of positions (n, 3) at times (n,) s, by central differences."""
-    gradient = np.gradient(positions, times, axis=0)
-    return lambda i: np.asarray(gradient[i])

@@ -19,8 +19,13 @@ VELOCITY = ["velocity_x", "velocity_y", "velocity_z"]
 
 @dataclass(frozen=True)
 class Velocity:
-    """Errors of the velocity: RMSE over all frames and after SETTLE_S, median |error| after it (mm/s); NEES coverage."""
+    """Errors of the velocity: RMSE over all frames and after SETTLE_S, median |error| after it (mm/s); NEES coverage.
 
+    `known`: frames with a velocity; `sd`: median velocity_sd after SETTLE_S, mm/s.
+    """
+
+    known: int
+    sd: float
     rmse_all: float
     rmse: float
     median: float
@@ -42,14 +47,14 @@ def velocity(frames: pd.DataFrame, written: Written, truth: Array) -> Velocity:
     sd = frames["velocity_sd"].to_numpy(dtype=float) * 1e3
     inside = error[settled] ** 2 / sd[settled] ** 2 < chi2.ppf(0.95, 3)
     return Velocity(
-        _rms(error[known]), _rms(error[settled]), _median(error[settled]),
+        int(known.sum()), _median(sd[settled]), _rms(error[known]), _rms(error[settled]), _median(error[settled]),
         float(inside.mean()) if settled.any() else float("nan"), _lag(estimate, truth, written),
     )  # fmt: skip
 
 
 def _lag(estimate: Array, truth: Array, written: Written) -> float:
     lags = []
-    for start in written.motion.starts(float(written.seconds[-1])):
+    for start in written.motion.starts(float(written.seconds[-1]) - 0.9):
         moving = (written.seconds >= start) & (np.linalg.norm(truth, axis=1) > 0.01)
         speed = np.linalg.norm(truth[moving], axis=1).max(initial=0.0)
         along = estimate @ np.array(written.motion.direction)
@@ -75,7 +80,7 @@ def camera_frame_truth(frames: pd.DataFrame, written: Written) -> Array:
     T = [t for t in written.T_source if t is not None]
     world = np.median([transform(T[i], places[i][None])[0] for i in good], axis=0)
     path = np.array([transform(invert(t), world[None])[0] for t in T])
-    return np.gradient(path, written.seconds, axis=0)
+    return np.asarray(np.gradient(path, written.seconds, axis=0))
 
 
 def drift(frames: pd.DataFrame, written: Written) -> float:

@@ -12,7 +12,7 @@ not registered to colour: depth is then resampled into the colour camera, and on
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -125,9 +125,9 @@ def raw_depth_message(t_ns: int, frame_id: str, millimetres: Any) -> Any:
 
 def _restamped(value: Any, t_ns: int) -> Any:
     """The image message as ROS 2, its pixels untouched, with another stamp."""
-    kind = value.__msgtype__
-    names = [n for n in TYPES[kind].__dataclass_fields__ if n not in ("header", "__msgtype__")]
-    return TYPES[kind](header=header(t_ns, value.header.frame_id), **{n: getattr(value, n) for n in names})
+    kind: Any = TYPES[value.__msgtype__]
+    names = [f.name for f in fields(kind) if f.name not in ("header", "__msgtype__")]
+    return kind(header=header(t_ns, value.header.frame_id), **{n: getattr(value, n) for n in names})
 
 
 def _order(n: int, passes: int) -> list[int]:

@@ -1,6 +1,6 @@
 """A made recording with exact truth: a printed box on a table under a moving camera, 640x480, 30 Hz, noisy depth.
 
-    python -m benchmarks.synthetic OUT.mcap --frames 99 --speed 0.1
+python -m benchmarks.synthetic OUT.mcap --frames 99 --speed 0.1
 """
 
 from __future__ import annotations

@@ -663,6 +663,8 @@ def read_outcome(path: Path, truth: list[Seen], checked: str) -> Outcome:
         opened = open_container(path)
         try:
             for message in opened.messages():
+                if type(message.log_ns) is not int or not 0 <= message.log_ns < 1 << 63 or type(message.data) is not bytes:
+                    return Outcome(VIOLATION, f"not a message: log time {message.log_ns!r}, {type(message.data)}", len(got))
                 got += seen([message])
                 try:
                     opened.decode(message)
@@ -794,10 +796,11 @@ def run_cli(arguments: list[str]) -> tuple[int, str, str]:
     from dgeval.cli import app
 
     with tempfile.TemporaryDirectory() as scratch:
-        saved = os.dup(1), os.dup(2)
-        files = [(Path(scratch) / n).open("w+", encoding="utf-8") for n in "oe"]
+        files = [(Path(scratch) / n).open("a", encoding="utf-8") for n in "oe"]
+        saved = sys.stdout, sys.stderr, os.dup(1), os.dup(2)
         for number, file in enumerate(files, 1):
-            os.dup2(file.fileno(), number)
+            os.dup2(file.fileno(), number)  # for what libraries in C write
+        sys.stdout, sys.stderr = files
         try:
             app(arguments, prog_name="dgeval")
             code = 0
@@ -807,16 +810,14 @@ def run_cli(arguments: list[str]) -> tuple[int, str, str]:
             traceback.print_exc()
             code = 1
         finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            for number, old in enumerate(saved, 1):
+            sys.stdout, sys.stderr = saved[:2]
+            for number, old in enumerate(saved[2:], 1):
                 os.dup2(old, number)
                 os.close(old)
         texts = []
         for file in files:
-            file.seek(0)
-            texts.append(file.read())
             file.close()
+            texts.append(Path(file.name).read_text(encoding="utf-8", errors="replace"))
     return code, texts[0], texts[1]
 
 

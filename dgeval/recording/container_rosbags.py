@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError
 from dgeval.recording.containers import RawMessage, Topic, describe
 
-
+BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO = 3, 4, 5, 6  # record kinds of the ROS bag format 2.0
 ORPHANS = "SELECT COUNT(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM topics)"
 
 
@@ -36,6 +36,8 @@ class RosbagsContainer:
         self.kind = "ROS 1 bag" if path.suffix == ".bag" or _is_bag(self._source) else "ROS 2 SQLite"
         if self.kind == "ROS 2 SQLite":
             self._check_sqlite()
+        else:
+            self._check_bag()
         reader = self._open()
         try:
             store = reader.typestore
@@ -80,6 +82,39 @@ class RosbagsContainer:
             if verdict != "ok":
                 raise UnreadableError(f"the SQLite file is damaged ({verdict})", Place(str(file)))
 
+    def _check_bag(self) -> None:
+        """What the bag says of itself twice must agree: chunks and where they are, messages per connection in each.
+
+        Reading goes by the index at the end, so an index that has lost chunks would lose their messages in silence.
+        """
+        said, infos = None, 0
+        held: dict[tuple[int, int], int] = {}
+        listed: dict[tuple[int, int], int] = {}
+        chunks: list[int] = []
+        try:
+            for at, fields, data in _bag_records(self._source):
+                kind = fields[b"op"][0]
+                if kind == BAG_HEADER:
+                    said = _number(fields[b"chunk_count"])
+                elif kind == CHUNK:
+                    chunks.append(at)
+                elif kind == INDEX_DATA:
+                    held[chunks[-1], _number(fields[b"conn"])] = _number(fields[b"count"])
+                elif kind == CHUNK_INFO:
+                    infos += 1
+                    if _number(fields[b"count"]) * 8 != len(data):
+                        raise ValueError("a chunk's summary is not as long as it says")
+                    for i in range(0, len(data), 8):
+                        listed[_number(fields[b"chunk_pos"]), _number(data[i : i + 4])] = _number(data[i + 4 : i + 8])
+        except (KeyError, IndexError, ValueError) as error:
+            what = f"its records don't follow one another ({describe(error)})"
+            self.damage.append(Damage(what, Place(str(self.path))))
+            return
+        if not said == infos == len(chunks) or held != listed:
+            counts = f"{said} chunks in the header, {len(chunks)} in the file"
+            what = f"the bag contradicts itself ({counts}; the index and the chunks list different messages)"
+            self.damage.append(Damage(what, Place(str(self.path))))
+
     def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]:
         """Messages of the topics in log-time order; a fault ends the pass and is kept in `damage`."""
         reader = self._open()
@@ -94,6 +129,8 @@ class RosbagsContainer:
                     connection, log_ns, raw = next(stream)
                     if not isinstance(raw, bytes | bytearray | memoryview):
                         raise TypeError(f"a message is stored as {type(raw).__name__}, not as bytes")
+                    if not _is_time(log_ns):
+                        raise TypeError(f"a message's time is {log_ns!r}")
                 except StopIteration:
                     return
                 except Exception as error:
@@ -106,6 +143,48 @@ class RosbagsContainer:
                 yield RawMessage(connection.topic, log_ns, bytes(raw))
         finally:
             reader.close()
+
+
+def _bag_records(path: Path) -> Iterator[tuple[int, dict[bytes, bytes], bytes]]:
+    """Place, header fields and data of a ROS 1 bag's top-level records; only indexes have data. ValueError if broken."""
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        stream.readline()
+        while stream.tell() < size:
+            start = stream.tell()
+            head = stream.read(_length(stream, size))
+            fields: dict[bytes, bytes] = {}
+            at = 0
+            while at < len(head):
+                end = at + 4 + _number(head[at : at + 4])
+                name, sign, value = head[at + 4 : end].partition(b"=")
+                if not sign or end > len(head):
+                    raise ValueError(f"a record header is broken near byte {stream.tell()}")
+                fields[name] = value
+                at = end
+            length = _length(stream, size)
+            if fields[b"op"][0] == CHUNK_INFO:
+                yield start, fields, stream.read(length)
+            else:
+                yield start, fields, b""
+                stream.seek(length, 1)
+
+
+def _is_time(value: object) -> bool:
+    """SQLite stores what it is given: a time may be text or a float there."""
+    return isinstance(value, int) and 0 <= value < 1 << 63
+
+
+def _number(raw: bytes) -> int:
+    return int.from_bytes(raw, "little")
+
+
+def _length(stream: IO[bytes], size: int) -> int:
+    raw = stream.read(4)
+    length = _number(raw)
+    if len(raw) < 4 or stream.tell() + length > size:
+        raise ValueError(f"a record reaches beyond the file at byte {stream.tell()}")
+    return length
 
 
 def _is_bag(path: Path) -> bool:

@@ -108,6 +108,8 @@ def load_description(text: str, source: str, mesh_dirs: tuple[str, ...], radius:
             (mimic.multiplier if mimic and mimic.multiplier is not None else 1.0),
             (mimic.offset if mimic and mimic.offset is not None else 0.0),
         )
+        if not (np.isfinite(joints[joint.child].origin).all() and np.isfinite(axis).all()):
+            raise UsageError(f"joint {joint.name} of the robot description has numbers that are none", Place(source))
     shapes = {}
     made_up = []
     for link in robot.robot.links:
@@ -115,6 +117,8 @@ def load_description(text: str, source: str, mesh_dirs: tuple[str, ...], radius:
         if missing and not found:
             found = _capsules(link.name, joints, radius)
             made_up.append(link.name)
+        if not all(np.isfinite(s.T_link_shape).all() and np.isfinite(s.bound) for s in found):
+            raise UsageError(f"link {link.name} of the robot description has numbers that are none", Place(source))
         shapes[link.name] = found
     if made_up:
         notes.append(f"meshes not found, capsules from joint origins stand in: {', '.join(sorted(made_up))}")

@@ -97,14 +97,14 @@ def camera_model(message: Any) -> CameraModel:
 
 @dataclass(frozen=True, slots=True)
 class JointSample:
-    """One JointState: positions rad by joint name; joints with NaN or a missing value are left out."""
+    """One JointState: positions rad or m by joint name; missing values and those no joint can have are left out."""
 
     t_ns: int
     positions: dict[str, float]
 
 
 def joints_of(message: Any) -> JointSample:
-    values = {n: float(v) for n, v in zip(message.name, message.position, strict=False) if math.isfinite(v)}
+    values = {n: float(v) for n, v in zip(message.name, message.position, strict=False) if abs(v) < 1e6}
     return JointSample(stamp_ns(message), values)
 
 
@@ -119,7 +119,10 @@ class Event:
 
 def event_of(text: str, log_ns: int) -> Event:
     """JSON {"event": …}; an own "t_ns" wins over the log time. ValueError for anything else."""
-    value = json.loads(text)
+    try:
+        value = json.loads(text)
+    except RecursionError as error:
+        raise ValueError("an event nested too deep") from error
     if not isinstance(value, dict) or not isinstance(value.get("event"), str):
         raise ValueError(f"not an event: {text[:80]!r}")
     t_ns = value.get("t_ns", log_ns)

@@ -264,6 +264,13 @@ def open_trial(spec: TrialSpec, config: Config) -> Trial:
     notes = list(robot.notes)
     camera = _camera(found, roles, config, place, notes)
 
+    if spec.bbox is not None:
+        x0, y0, x1, y1 = spec.bbox
+        if not (np.isfinite(spec.bbox).all() and x0 < x1 and y0 < y1):
+            raise UsageError(f"the box {spec.bbox} is not x0, y0, x1, y1 with x0 < x1 and y0 < y1", place)
+        if x1 <= 0 or y1 <= 0 or x0 >= camera.width or y0 >= camera.height:
+            raise UsageError(f"the box {spec.bbox} lies outside the image of {camera.width}x{camera.height}", place)
+
     times: dict[str, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
     faults = {}
     for role, topic in (("colour", roles.colour), ("depth", roles.depth)):

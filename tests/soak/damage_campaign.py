@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -78,7 +79,7 @@ def damage_bytes(report: Report, kinds: list[d.Kind], seeds: int, cli_every: int
         met: Counter[str] = Counter()
         for batch in _batches(d.cases(good, seeds), 40):
             paths = [d.place_case(good, case, _fresh(scratch, f"case{i}")) for i, case in enumerate(batch)]
-            outcomes = d.in_children([lambda p=p: d.read_outcome(p, good.messages, kind.checked) for p in paths])
+            outcomes = d.in_children([partial(d.read_outcome, p, good.messages, kind.checked) for p in paths])
             for case, path, outcome in zip(batch, paths, outcomes, strict=True):
                 report.add(kind.name, case.mutation, case.detail, outcome)
                 met[case.mutation] += 1
