@@ -15,7 +15,7 @@ app = typer.Typer(
     help="Why did a dynamic grasp fail? Answers from the log alone.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
+    rich_markup_mode=None,  # plain help: loading rich to format it would take longer than everything else
 )
 app.command("replay", epilog=replay.EXAMPLES)(replay.replay)
 app.command("report", epilog=report.EXAMPLES)(report.report)

@@ -9,7 +9,11 @@ import typer
 
 from dgeval.cli.boundary import command, print_json
 
-EXAMPLES = "`dgeval inspect apple.mcap`  ·  `dgeval inspect apple.mcap --json | jq .damage`"
+EXAMPLES = """\b
+Examples:
+  dgeval inspect apple.mcap
+  dgeval inspect apple.mcap --json | jq .damage
+"""
 
 
 @command

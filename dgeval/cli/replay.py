@@ -11,14 +11,11 @@ import typer
 
 from dgeval.cli.boundary import command, print_json
 
-EXAMPLES = """
-**Examples**
-
-`dgeval replay apple.mcap --bbox 430,342,524,432`
-
-`dgeval replay trials.toml --out runs/monday --jobs 4`
-
-`dgeval replay night/ --set registration.method=open3d --no-review`
+EXAMPLES = """\b
+Examples:
+  dgeval replay apple.mcap --bbox 430,342,524,432
+  dgeval replay trials.toml --out runs/monday --jobs 4
+  dgeval replay night/ --set registration.method=open3d --no-review
 """
 
 

@@ -9,7 +9,11 @@ import typer
 
 from dgeval.cli.boundary import command, print_json
 
-EXAMPLES = "`dgeval report runs/latest`  ·  `dgeval report runs/monday runs/tuesday --out week`"
+EXAMPLES = """\b
+Examples:
+  dgeval report runs/latest
+  dgeval report runs/monday runs/tuesday --out week
+"""
 
 
 @command

@@ -9,7 +9,11 @@ import typer
 
 from dgeval.cli.boundary import command
 
-EXAMPLES = "`dgeval view runs/latest apple`  ·  `dgeval view runs/latest apple --path` prints the file's place only."
+EXAMPLES = """\b
+Examples:
+  dgeval view runs/latest apple
+  dgeval view runs/latest apple --path
+"""
 
 
 @command

@@ -92,7 +92,8 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
         try:
             if topic.type in IMAGE_TYPES:
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
-                if message.topic not in out.images:
+                known = out.images.get(message.topic)
+                if known is None or known.encoding == "?":  # a broken first image does not hide the topic
                     out.images[message.topic] = _head(message, opened)
             elif topic.type == TF_TYPE:
                 latched = message.topic.endswith("static")
