@@ -113,7 +113,11 @@ def replay(trial: Trial, config: Config) -> Iterator[Step]:
             row["mask_area"] = tracked.mask_area
         if tracked.features is not None:
             row["n_features"] = len(tracked.features.points)
-        observation = observe(frame, tracked, generator(config.seed, "observation", frame.index), config.observation)
+        wanted = config.observation
+        if state.fusion.model is None:
+            # the first observation is the whole model: thin on a large target, it would fail the gate's 5 mm for ever
+            wanted = wanted.model_copy(update={"max_points": max(wanted.max_points, config.fusion.max_model_points)})
+        observation = observe(frame, tracked, generator(config.seed, "observation", frame.index), wanted)
         clock.lap("observation")
         registration = _register(state, frame, tracked, observation, predicted, config)
         clock.lap("registration")
