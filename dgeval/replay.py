@@ -104,8 +104,6 @@ def replay(trial: Trial, config: Config) -> Iterator[Step]:
         tracked = state.tracker.step(
             TrackingInput(frame, box, state.fusion.model, predicted, state.T_camera_model, state.accepted)
         )
-        if box is not None and trial.spec.bbox is None and tracked.state == "tracked":
-            given = None
         clock.lap("tracking")
         row: dict[str, Any] = {"frame": frame.index, "t_ns": frame.t_ns, "tracking": tracked.state}
         if tracked.box is not None:

@@ -77,14 +77,13 @@ class Opened:
         """
         wanted = frozenset(self.topics) if topics is None else topics
         counts = dict.fromkeys(sorted(wanted), 0)
-        faults_before = len(self.damage)
         last_ns: int | None = None
         for message in self.container.messages(wanted):
             counts[message.topic] += 1
             last_ns = message.log_ns
             yield message
         self.counts.update(counts)
-        if len(self.damage) > faults_before or self.damage:
+        if self.damage:
             return
         for name, count in counts.items():
             said = self.topics[name].count
