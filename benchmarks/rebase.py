@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from datasets.write_mcap import (
+from dgeval.recording.write import (
     TYPES,
     McapWriter,
     camera_info_message,

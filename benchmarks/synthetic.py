@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from datasets.raycast import Box, Scene, add_noise, printed, render, speckle
-from datasets.write_mcap import (
+from dgeval.recording.write import (
     McapWriter,
     camera_info_message,
     jpeg_message,

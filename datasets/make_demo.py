@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from dgeval.geometry import Array, Intrinsics, invert, pose_from_matrix
 
 from raycast import Box, Capsule, Scene, add_noise, printed, render, speckle
-from write_mcap import (
+from dgeval.recording.write import (
     McapWriter,
     camera_info_message,
     compressed_depth_message,

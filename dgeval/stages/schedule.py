@@ -22,6 +22,10 @@ class Delayed(Generic[T]):
     def step(self, t_ns: int, result: T) -> tuple[int, T] | None:
         """Take this frame's result in; give the newest usable one and the time of its image, or None."""
         self._coming.append((t_ns, result))
+        return self.at(t_ns)
+
+    def at(self, t_ns: int) -> tuple[int, T] | None:
+        """The newest result usable at a time."""
         while self._coming and self._coming[0][0] + self._latency_ns <= t_ns:
             self._usable = self._coming.popleft()
         return self._usable

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -10,6 +11,8 @@ import cv2
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
+
+from dgeval.geometry import pose_from_matrix
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = STORE.types
@@ -52,13 +55,14 @@ def transform_message(t_ns: int, parent: str, child: str, pose: Any) -> Any:
 
 
 def jpeg_message(t_ns: int, frame_id: str, rgb: Any, quality: int = 85) -> Any:
+    """(H, W, 3) uint8 RGB as image_transport's compressed JPEG."""
     data = cv2.imencode(".jpg", rgb[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return message("sensor_msgs/CompressedImage", header=header(t_ns, frame_id), format="rgb8; jpeg compressed bgr8", data=data)
 
 
-def compressed_depth_message(t_ns: int, frame_id: str, millimetres: Any) -> Any:
-    """uint16 mm as image_transport's compressedDepth with PNG."""
-    png = cv2.imencode(".png", millimetres, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
+def compressed_depth_message(t_ns: int, frame_id: str, millimetres: Any, level: int = 9) -> Any:
+    """uint16 mm as image_transport's compressedDepth with PNG; level 9 is smallest and slowest."""
+    png = cv2.imencode(".png", millimetres, [cv2.IMWRITE_PNG_COMPRESSION, level])[1]
     data = np.concatenate([np.zeros(12, np.uint8), png.ravel()])
     return message("sensor_msgs/CompressedImage", header=header(t_ns, frame_id), format="16UC1; compressedDepth png", data=data)
 
@@ -70,6 +74,46 @@ def camera_info_message(t_ns: int, frame_id: str, camera: Any) -> Any:
     return message(
         "sensor_msgs/CameraInfo", header=header(t_ns, frame_id), height=camera.height, width=camera.width,
         distortion_model="plumb_bob", d=np.zeros(5), k=k, r=np.eye(3).ravel(), p=p, binning_x=0, binning_y=0, roi=roi,
+    )  # fmt: skip
+
+
+def pose_stamped(t_ns: int, frame_id: str, T: Any) -> Any:
+    """geometry_msgs/PoseStamped from T (4, 4)."""
+    return message("geometry_msgs/PoseStamped", header=header(t_ns, frame_id), pose=pose_message(pose_from_matrix(T)))
+
+
+def twist_stamped(t_ns: int, frame_id: str, twist: Any) -> Any:
+    """geometry_msgs/TwistStamped from (6,) linear m/s, angular rad/s."""
+    x, y, z, a, b, c = (float(v) for v in twist)
+    both = message("geometry_msgs/Vector3", x=x, y=y, z=z), message("geometry_msgs/Vector3", x=a, y=b, z=c)
+    twist = message("geometry_msgs/Twist", linear=both[0], angular=both[1])
+    return message("geometry_msgs/TwistStamped", header=header(t_ns, frame_id), twist=twist)
+
+
+def joint_state(t_ns: int, names: Sequence[str], position: Any, velocity: Any = (), effort: Any = ()) -> Any:
+    values = [np.asarray(v, dtype=np.float64) for v in (position, velocity, effort)]
+    return message(
+        "sensor_msgs/JointState", header=header(t_ns, ""), name=list(names), position=values[0], velocity=values[1], effort=values[2]
+    )
+
+
+def text(value: str) -> Any:
+    return message("std_msgs/String", data=value)
+
+
+def png_message(t_ns: int, frame_id: str, image: Any) -> Any:
+    """A one-channel image as sensor_msgs/CompressedImage."""
+    data = cv2.imencode(".png", image)[1].ravel()
+    return message("sensor_msgs/CompressedImage", header=header(t_ns, frame_id), format="mono8; png compressed", data=data)
+
+
+def cloud_message(t_ns: int, frame_id: str, points: Any) -> Any:
+    """sensor_msgs/PointCloud2 of points (n, 3), float32 x y z."""
+    fields = [message("sensor_msgs/PointField", name=n, offset=4 * i, datatype=7, count=1) for i, n in enumerate("xyz")]
+    data = np.ascontiguousarray(points, dtype="<f4").view(np.uint8).ravel()
+    return message(
+        "sensor_msgs/PointCloud2", header=header(t_ns, frame_id), height=1, width=len(points), fields=fields, is_bigendian=False,
+        point_step=12, row_step=12 * len(points), data=data, is_dense=True,
     )  # fmt: skip
 
 

@@ -1,0 +1,137 @@
+"""The five-finger hand: the kinematics of the DLR-HIT Hand II with capsules of our own for its links.
+
+Hand frame `hand_base`: +z along the extended fingers, +x out of the palm, +y towards index and thumb. Metres, radians.
+Dimensions from the hand's published URDF (SIMULATION section 2): five equal fingers of abduction, flexion, flexion and a
+distal joint coupled 1:1 to the one before it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dgeval.geometry import Array
+
+FINGERS = ("thumb", "index", "middle", "ring", "little")  # the order of the 15 joint values, three for each finger
+# where each finger's abduction joint sits in hand_base: xyz m, rpy rad (fixed axes)
+FINGER_MOUNTS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
+    "thumb": ((0.062176, 0.044373, 0.078735), (0.225810, -1.083656, 0.411355)),
+    "index": ((-0.002530, 0.036800, 0.107784), (3.054326, -1.570796, 0.0)),
+    "middle": ((-0.0037, 0.01, 0.117784), (-3.141593, -1.570796, 0.0)),
+    "ring": ((0.0, -0.016800, 0.112584), (-3.054326, -1.570796, 0.0)),
+    "little": ((0.000972, -0.043396, 0.093584), (-2.967060, -1.570796, 0.0)),
+}
+# the palm frame of the grasps (`palm_link`) in hand_base
+PALM_XYZ, PALM_RPY = (0.02, 0.0, 0.06), (-0.15, -1.3, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class FingerJoint:
+    """One joint of the chain all fingers share: its frame in the parent's, turning about local z."""
+
+    xyz: tuple[float, float, float]
+    rpy: tuple[float, float, float]
+    lower: float
+    upper: float
+    effort: float
+    tip: tuple[float, float, float]  # end of the link's capsule in the joint's frame; zero for the cover link
+    mass: float
+
+
+CHAIN = (
+    FingerJoint((0, 0, 0), (0, 0, 0), -0.261799, 0.261799, 15.0, (0, 0, 0), 0.0176),
+    FingerJoint((0, 0, 0), (np.pi / 2, 0, 0), 0.0, 1.48353, 1.15, (0.055, 0, 0), 0.0232),
+    FingerJoint((0.055, 0, 0), (0, 0, 0), 0.0, 1.13446, 0.6, (0.025, 0, 0), 0.0158),
+    FingerJoint((0.025, 0, 0), (0, 0, -np.pi / 2), 0.0, 1.13446, 0.35, (0, 0.0266, 0), 0.0137),
+)
+FINGERTIP = CHAIN[3].tip
+RADIUS = 0.0108  # m; the fingers are 21 to 24 mm wide
+PALM_BOXES = (  # half sizes, centres: fitted to slices of the palm
+    ((0.0325, 0.053, 0.05), (0.0005, -0.005, 0.05), 0.9),
+    ((0.022, 0.05, 0.014), (-0.009, -0.003, 0.114), 0.1),
+    ((0.024, 0.02, 0.038), (0.055, 0.04, 0.047), 0.15),
+)
+JOINT_NAMES = tuple(f"{finger}_{k}" for finger in FINGERS for k in range(4))  # 20, the last of each coupled
+ACTUATED = tuple(f"{finger}_{k}" for finger in FINGERS for k in range(3))  # 15
+MAX_SPEED = 3.14  # rad/s
+CLOSED = np.tile([0.0, 1.25, 1.0], 5)  # where the fingers are sent to; the limited forces stop them on the object
+STIFFNESS, FORCE = (3.0, 3.0, 1.8), (2.0, 1.15, 0.95)  # Nm/rad and Nm of the three drives of a finger
+
+
+def pose(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Array:
+    """T_parent_child (4, 4) of a URDF origin."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
+    T[:3, 3] = xyz
+    return T
+
+
+T_hand_palm = pose(PALM_XYZ, PALM_RPY)
+
+
+def quat_wxyz(R: Array) -> Array:
+    """Rotation matrix (3, 3) -> MuJoCo's quaternion order."""
+    return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))
+
+
+def place(item: object, T: Array) -> None:
+    """Set a body's, geom's, camera's or site's pose in its parent."""
+    item.pos = T[:3, 3]  # type: ignore[attr-defined]
+    item.quat = quat_wxyz(T[:3, :3])  # type: ignore[attr-defined]
+
+
+def capsule_ends(joint: FingerJoint) -> tuple[Array, Array]:
+    """Axis of a finger link's capsule; the distal one ends a radius before the fingertip, so that the tip is the tip."""
+    end = np.array(joint.tip, dtype=float)
+    if joint is CHAIN[3]:
+        end *= 1 - RADIUS / np.linalg.norm(end)
+    return np.zeros(3), end
+
+
+def add_hand(spec: mujoco.MjSpec, hand_base: mujoco.MjsBody) -> None:
+    """Put palm, fingers, drives and the coupling of the distal joints into a spec, below the body `hand_base`.
+
+    Hand geoms have contype 2 and conaffinity 1: they meet objects and supports (1/3), never each other.
+    """
+    hand_base.gravcomp = 1
+    for k, (half, centre, mass) in enumerate(PALM_BOXES):
+        _solid(hand_base.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=centre, mass=mass, name=f"palm_{k}"))
+    place(hand_base.add_site(name="palm_link", size=[0.002] * 3, group=4), T_hand_palm)
+    for finger in FINGERS:
+        parent, T = hand_base, pose(*FINGER_MOUNTS[finger])
+        for k, joint in enumerate(CHAIN):
+            body = parent.add_body(name=f"{finger}_{k}", gravcomp=1)
+            place(body, T @ pose(joint.xyz, joint.rpy))
+            body.add_joint(
+                name=f"{finger}_{k}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], range=[joint.lower, joint.upper],
+                limited=True, damping=0.025, armature=1.5e-4,
+            )  # fmt: skip
+            a, b = capsule_ends(joint)
+            if b.any():
+                geom = body.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*a, *b], size=[RADIUS, 0, 0], mass=joint.mass, name=f"{finger}_{k}"
+                )
+                _solid(geom)
+                geom.rgba = [0.45, 0.46, 0.49, 1] if k % 2 else [0.30, 0.31, 0.33, 1]
+            else:
+                body.mass, body.inertia, body.explicitinertial = joint.mass, [4e-6] * 3, True
+            parent, T = body, np.eye(4)
+        parent.add_site(name=f"{finger}_tip", pos=FINGERTIP, size=[0.002] * 3, group=4)
+        couple = spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_JOINT, name1=f"{finger}_3", name2=f"{finger}_2", objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            solref=[0.004, 1],
+        )  # fmt: skip
+        couple.data = [0, 1, *[0] * (len(couple.data) - 2)]
+        for k in range(3):
+            drive = spec.add_actuator(name=f"{finger}_{k}", target=f"{finger}_{k}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            drive.set_to_position(kp=STIFFNESS[k], kv=0.05 * STIFFNESS[k])
+            drive.forcelimited, drive.forcerange = True, [-FORCE[k], FORCE[k]]
+
+
+def _solid(geom: mujoco.MjsGeom) -> None:
+    geom.contype, geom.conaffinity, geom.condim, geom.priority = 2, 1, 4, 1
+    geom.friction, geom.solref, geom.solimp = [0.9, 0.005, 0.0001], [0.006, 1], [0.9, 0.97, 0.001, 0.5, 2]
+    geom.rgba = [0.34, 0.35, 0.38, 1]

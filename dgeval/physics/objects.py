@@ -1,0 +1,280 @@
+"""Objects to grasp: ten like those of the paper, procedural ones to train on, and users' meshes.
+
+Object frame: origin at the centre of the bounding box, z up as it stands on the belt. Metres, kilograms. Each object is a
+set of convex parts for contact and, where those would look like what they are, one mesh to be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from dgeval.geometry import Array, transform
+from dgeval.physics.hand import place
+from dgeval.physics.texture import Look, add_material
+
+Kind = Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "hull"]
+GEOM = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A convex solid. `size` as MuJoCo has it: half lengths; radius; radius and half length; semi-axes. Hulls have vertices."""
+
+    kind: Kind
+    T_object_part: Array
+    size: tuple[float, ...] = ()
+    vertices: Array | None = None
+
+    def volume(self) -> float:
+        s = self.size
+        if self.kind == "box":
+            return 8 * s[0] * s[1] * s[2]
+        if self.kind == "sphere":
+            return 4 / 3 * np.pi * s[0] ** 3
+        if self.kind == "cylinder":
+            return 2 * np.pi * s[0] ** 2 * s[1]
+        if self.kind == "capsule":
+            return np.pi * s[0] ** 2 * (2 * s[1] + 4 / 3 * s[0])
+        if self.kind == "ellipsoid":
+            return 4 / 3 * np.pi * s[0] * s[1] * s[2]
+        assert self.vertices is not None
+        return float(ConvexHull(self.vertices).volume)
+
+    def lowest(self, direction: Array) -> float:
+        """Least coordinate of the part along a unit direction (3,) of the object frame."""
+        d = self.T_object_part[:3, :3].T @ direction
+        s = np.array(self.size)
+        if self.kind == "box":
+            reach = float(np.abs(d) @ s)
+        elif self.kind == "sphere":
+            reach = float(s[0])
+        elif self.kind == "cylinder":
+            reach = float(s[0] * np.hypot(d[0], d[1]) + s[1] * abs(d[2]))
+        elif self.kind == "capsule":
+            reach = float(s[0] + s[1] * abs(d[2]))
+        elif self.kind == "ellipsoid":
+            reach = float(np.linalg.norm(d * s))
+        else:
+            assert self.vertices is not None
+            reach = -float((self.vertices @ d).min())
+        return float(self.T_object_part[:3, 3] @ direction) - reach
+
+
+@dataclass(frozen=True)
+class ObjectModel:
+    """What the physics and the renderer need of an object."""
+
+    name: str
+    mass: float
+    parts: tuple[Part, ...]
+    look: Look
+    mesh: tuple[Array, NDArray[np.int32]] | None = field(default=None, repr=False)  # vertices m, faces; to be seen only
+    soft: bool = False
+    rolls: bool = False
+
+    def rest_height(self) -> float:
+        """Height of the origin over the surface it stands on, m."""
+        return -min(p.lowest(np.array([0.0, 0.0, 1.0])) for p in self.parts)
+
+    def extent(self) -> Array:
+        """Size (3,) of the bounding box, m."""
+        return np.array([-min(p.lowest(s * e) for p in self.parts) for e in np.eye(3) for s in (1.0, -1.0)]).reshape(3, 2).sum(1)
+
+
+def at(x: float = 0.0, y: float = 0.0, z: float = 0.0, R: Array | None = None) -> Array:
+    T = np.eye(4)
+    T[:3, 3] = (x, y, z)
+    if R is not None:
+        T[:3, :3] = R
+    return T
+
+
+def box(name: str, size_mm: tuple[float, float, float], mass: float, look: Look, soft: bool = False) -> ObjectModel:
+    half = tuple(s / 2000 for s in size_mm)
+    return ObjectModel(name, mass, (Part("box", np.eye(4), half),), look, soft=soft)
+
+
+def ball(name: str, diameter: float, mass: float, look: Look) -> ObjectModel:
+    return ObjectModel(name, mass, (Part("sphere", np.eye(4), (diameter / 2,)),), look, rolls=True)
+
+
+def vessel(
+    name: str, r_bottom: float, r_top: float, height: float, wall: float, mass: float, look: Look, handle: float = 0.0
+) -> ObjectModel:
+    """Open cup: twelve wall boxes and a bottom disc, seen as a surface of revolution; a handle of three capsules, or none."""
+    n = 12
+    tilt = float(np.arctan2(r_top - r_bottom, height))
+    slant = float(np.hypot(height, r_top - r_bottom))
+    middle = (r_bottom + r_top) / 2 - wall / 2
+    parts = [Part("cylinder", at(0, 0, -height / 2 + wall / 2), (r_bottom - wall / 2, wall / 2))]
+    for k in range(n):
+        angle = 2 * np.pi * k / n
+        R = Rotation.from_euler("zy", [angle, tilt]).as_matrix()
+        half = (wall / 2, middle * np.tan(np.pi / n) + wall / 4, slant / 2)
+        parts.append(Part("box", at(middle * np.cos(angle), middle * np.sin(angle), 0, R), half))
+    if handle:
+        r, x, h = 0.006, (r_bottom + r_top) / 2 + handle - 0.006, height * 0.30
+        parts.append(Part("capsule", at(x, 0, 0), (r, h - r)))
+        inner = (r_bottom + r_top) / 2 - wall
+        across = Rotation.from_euler("y", np.pi / 2).as_matrix()
+        for z in (h, -h):
+            parts.append(Part("capsule", at((x + inner) / 2, 0, z, across), (r, (x - inner) / 2)))
+    top, bottom = height / 2, -height / 2
+    profile = [
+        (0, bottom), (r_bottom, bottom), (r_top, top), (r_top - wall, top), (r_bottom - wall, bottom + wall), (0, bottom + wall),
+    ]  # fmt: skip
+    return ObjectModel(name, mass, tuple(parts), look, mesh=revolve(profile, 36))
+
+
+def stack(name: str, sections: list[tuple[float, float, float]], mass: float, look: Look) -> ObjectModel:
+    """Bottle-like solid of elliptic sections (half width x, half width y, z), one convex hull between each two."""
+    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    low, high = sections[0][2], sections[-1][2]
+    rings = [np.stack([a * np.cos(turn), b * np.sin(turn), np.full(24, z - (low + high) / 2)], 1) for a, b, z in sections]
+    parts = tuple(Part("hull", np.eye(4), vertices=np.concatenate(pair)) for pair in zip(rings, rings[1:], strict=False))
+    return ObjectModel(name, mass, parts, look)
+
+
+def revolve(profile: list[tuple[float, float]], n: int) -> tuple[Array, NDArray[np.int32]]:
+    """Closed surface of revolution of a profile (radius, z) from axis to axis: vertices (m, 3), faces (k, 3)."""
+    import trimesh
+
+    mesh = trimesh.creation.revolve(np.array(profile, dtype=float), sections=n)
+    return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int32)
+
+
+def ten_objects() -> dict[str, ObjectModel]:
+    """The ten objects of the dynamic-grasping paper (Table III) by size and mass, SIMULATION section 7; looks are ours."""
+    bottle = [(0.047, 0.029, 0.0), (0.048, 0.029, 0.09), (0.042, 0.026, 0.125), (0.020, 0.017, 0.150), (0.013, 0.013, 0.160)]
+    bottle += [(0.010, 0.010, 0.190)]
+    made = [
+        box("sugar_box", (38, 89, 175), 0.514, Look("print", (225, 190, 40))),
+        box("pudding_box", (35, 110, 89), 0.187, Look("print", (120, 70, 40))),
+        box("gelatin_box", (73, 85, 28), 0.097, Look("print", (190, 50, 60))),
+        stack("mustard_bottle", bottle, 0.603, Look("print", (235, 200, 30))),
+        ball("apple", 0.075, 0.068, Look("mottled", (170, 35, 35))),
+        vessel("mug", 0.0465, 0.0465, 0.081, 0.004, 0.118, Look("print", (180, 45, 40)), handle=0.024),
+        ball("baseball", 0.073, 0.148, Look("seam", (232, 230, 222))),
+        vessel("cup", 0.030, 0.0375, 0.068, 0.003, 0.025, Look("print", (60, 120, 190))),
+        box("foam_brick", (50, 75, 50), 0.028, Look("mottled", (150, 60, 45)), soft=True),
+        box("rubiks_cube", (57, 57, 57), 0.094, Look("tiles", (30, 30, 30))),
+    ]
+    return {m.name: m for m in made}
+
+
+def procedural_object(index: int, seed: int = 0) -> ObjectModel:
+    """Object `index` of an endless training set: kinds, sizes 30 to 160 mm and masses 30 to 600 g at random, none of the ten."""
+    from dgeval.determinism import generator
+
+    rng = generator(seed, "procedural", index)
+    kind = ("box", "cylinder", "ellipsoid", "capsule", "frustum", "prism", "bottle", "cup", "mug")[index % 9]
+    name, mass = f"{kind}_{index:03d}", float(rng.uniform(0.03, 0.6))
+    styles: tuple[Literal["print", "mottled", "tiles"], ...] = ("print", "mottled", "tiles")
+    look = Look(styles[int(rng.integers(3))], tuple(int(c) for c in rng.integers(40, 230, 3)))  # type: ignore[arg-type]
+    a, b = (float(v) for v in rng.uniform(0.015, 0.045, 2))
+    h = float(rng.uniform(0.02, 0.08))
+    if kind == "box":
+        return ObjectModel(name, mass, (Part("box", np.eye(4), (a, b, h)),), look)
+    if kind == "cylinder":
+        return ObjectModel(name, mass, (Part("cylinder", np.eye(4), (a, h)),), look)
+    if kind == "ellipsoid":
+        return ObjectModel(name, mass, (Part("ellipsoid", np.eye(4), (a, b, min(h, 0.05))),), look, rolls=True)
+    if kind == "capsule":
+        lying = Rotation.from_euler("x", np.pi / 2).as_matrix()
+        return ObjectModel(name, mass, (Part("capsule", at(R=lying), (a, h)),), look, rolls=True)
+    if kind == "frustum":
+        return stack(name, [(a, b, 0.0), (a * 0.6, b * 0.6, 2 * h)], mass, look)
+    if kind == "prism":
+        wide = 0.02 + a
+        parts = (Part("box", at(0, 0, -h / 2), (wide, b, h / 2)), Part("box", at(-wide / 2, 0, h / 2), (wide / 2, b, h / 2)))
+        return ObjectModel(name, mass, parts, look)
+    if kind == "bottle":
+        r = 0.02 + a / 2
+        return stack(name, [(r, r, 0.0), (r, r, 1.4 * h), (0.4 * r, 0.4 * r, 1.8 * h), (0.4 * r, 0.4 * r, 2.2 * h)], mass, look)
+    r = 0.025 + a / 2
+    return vessel(name, 0.85 * r, r, max(2 * h, 0.05), 0.0035, mass, look, handle=0.022 if kind == "mug" else 0.0)
+
+
+def add_object(spec: mujoco.MjSpec, model: ObjectModel) -> mujoco.MjsBody:
+    """A free body `object` with the model's parts; mass by volume over the parts, so that the total is right."""
+    body = spec.worldbody.add_body(name="object")
+    body.add_freejoint(name="object")
+    material = add_material(spec, model.name, model.look)
+    volumes = [p.volume() for p in model.parts]
+    for k, (part, volume) in enumerate(zip(model.parts, volumes, strict=True)):
+        name = f"object_{k}"
+        if part.kind == "hull":
+            assert part.vertices is not None
+            spec.add_mesh(name=name, uservert=part.vertices.astype(np.float32).ravel())
+            geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, name=name)
+        else:
+            geom = body.add_geom(type=GEOM[part.kind], size=[*part.size, 0, 0, 0][:3], name=name)
+        place(geom, part.T_object_part)
+        geom.mass = model.mass * volume / sum(volumes)
+        geom.contype, geom.conaffinity = 1, 3
+        geom.condim = 6 if model.rolls else 4
+        geom.friction = [0.6, 0.005, 0.001 if model.rolls else 0.0001]
+        geom.solref = [0.02, 1] if model.soft else [0.008, 1]
+        geom.material = material
+        if model.mesh is not None:
+            geom.group = 3  # not drawn
+    if model.mesh is not None:
+        vertices, faces = model.mesh
+        spec.add_mesh(name="seen", uservert=vertices.astype(np.float32).ravel(), userface=faces.ravel(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        seen = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="seen", material=material, contype=0, conaffinity=0, mass=0)
+        seen.group = 1
+        for part in model.parts:
+            if part.kind == "capsule":
+                place(body.add_geom(
+                    type=GEOM["capsule"], size=[*part.size, 0], contype=0, conaffinity=0, mass=0, material=material, group=1
+                ), part.T_object_part)
+    return body
+
+
+def surface_points(model: ObjectModel, n: int, rng: np.random.Generator) -> Array:
+    """Points (n, 3) m on what is seen of the object, uniform by area, object frame."""
+    import trimesh
+
+    if model.mesh is not None:
+        mesh = trimesh.Trimesh(*model.mesh, process=False)
+    else:
+        mesh = trimesh.util.concatenate([_part_mesh(p) for p in model.parts])
+    areas = np.cumsum(mesh.area_faces)
+    triangles = mesh.triangles[np.searchsorted(areas, rng.random(n) * areas[-1])]
+    u, v = rng.random((2, n, 1))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    return np.asarray(triangles[:, 0] + u * (triangles[:, 1] - triangles[:, 0]) + v * (triangles[:, 2] - triangles[:, 0]))
+
+
+def _part_mesh(part: Part):  # type: ignore[no-untyped-def]
+    import trimesh
+
+    s = part.size
+    if part.kind == "hull":
+        assert part.vertices is not None
+        return trimesh.convex.convex_hull(transform(part.T_object_part, part.vertices))
+    if part.kind == "box":
+        mesh = trimesh.creation.box(2 * np.array(s))
+    elif part.kind == "cylinder":
+        mesh = trimesh.creation.cylinder(s[0], 2 * s[1], sections=32)
+    elif part.kind == "capsule":
+        mesh = trimesh.creation.capsule(2 * s[1], s[0])
+        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    else:
+        mesh = trimesh.creation.icosphere(3, 1.0)
+        mesh.apply_scale([s[0]] * 3 if part.kind == "sphere" else s)
+    return mesh.apply_transform(part.T_object_part)

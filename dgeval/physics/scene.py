@@ -1,0 +1,96 @@
+"""A world: floor, belt, one object, and the robot or the hand alone. Base frame: z up, the belt's surface at z = 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from dgeval.geometry import Array, Intrinsics
+from dgeval.physics.arm import add_arm
+from dgeval.physics.hand import add_hand, place
+from dgeval.physics.objects import ObjectModel, add_object
+from dgeval.physics.texture import add_ground
+
+BELT_CENTRE, BELT_HALF = (0.50, 0.0), (0.22, 0.95)  # m; it runs along y
+FLOOR = -0.60  # m
+TIMESTEP = 0.002  # s; at 4 ms and more grasps that hold at 1 ms begin to slip (SIMULATION section 4)
+OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])  # MuJoCo's camera looks along -z with y up, the optical frame along +z
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A camera fixed to hand_base: T_hand_camera of its optical frame."""
+
+    name: str
+    intrinsics: Intrinsics
+    T_hand_camera: Array
+
+
+def build(
+    thing: ObjectModel,
+    belt_speed: float = 0.0,
+    robot: Literal["arm", "hand", "none"] = "arm",
+    cameras: tuple[Camera, ...] = (),
+) -> mujoco.MjModel:
+    """Compile a world. belt_speed m/s along +y (sign gives the direction); `hand` hangs on a mocap body, `none` is no robot."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    o = spec.option
+    o.timestep, o.integrator, o.cone = TIMESTEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST, mujoco.mjtCone.mjCONE_ELLIPTIC
+    o.impratio = 10
+    spec.stat.extent, spec.stat.center = 1.0, [0.5, 0, 0]
+    spec.visual.map.znear, spec.visual.map.zfar = 0.01, 6.0
+    spec.visual.quality.offsamples = 0
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.25] * 3
+    largest = max([(c.intrinsics.width, c.intrinsics.height) for c in cameras] or [(640, 480)])
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = largest
+    world = spec.worldbody
+    world.add_light(pos=[0.2, 0.5, 2.0], dir=[0.15, -0.25, -1], diffuse=[0.55] * 3, specular=[0.1] * 3, castshadow=False)
+    floor = world.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[3, 3, 0.1], pos=[0, 0, FLOOR], name="floor")
+    floor.material = add_ground(spec, "floor_look", (150, 148, 142))
+    belt = world.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[*BELT_HALF, 0.02], pos=[*BELT_CENTRE, -0.02], name="belt")
+    belt.material = add_ground(spec, "belt_look", (62, 66, 70))
+    belt.surfacevel = [0, belt_speed, 0, 0, 0, 0]
+    for ground in (floor, belt):
+        ground.contype, ground.conaffinity, ground.condim = 1, 3, 4
+        ground.friction, ground.solref = [0.6, 0.005, 0.0001], [0.008, 1]
+    add_object(spec, thing)
+    if robot == "arm":
+        add_hand(spec, add_arm(spec, world.add_body(name="base_link")))
+    elif robot == "hand":
+        _add_flying_hand(spec)
+    for camera in cameras:
+        seen = spec.body("hand_base").add_camera(name=camera.name)
+        k = camera.intrinsics
+        place(seen, camera.T_hand_camera @ OPTICAL)
+        seen.fovy = 2 * np.arctan(k.height / 2 / k.fy)
+        if not spec.compiler.degree:
+            seen.fovy = np.degrees(seen.fovy)
+    return spec.compile()
+
+
+def _add_flying_hand(spec: mujoco.MjSpec) -> None:
+    """The hand alone, drawn after a mocap body `handle` by a soft weld (SIMULATION section 1)."""
+    handle = spec.worldbody.add_body(name="handle", mocap=True)
+    handle.add_site(name="handle", size=[0.002] * 3, group=4)
+    hand = spec.worldbody.add_body(name="hand_base")
+    hand.add_freejoint(name="hand")
+    hand.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=2.0, contype=0, conaffinity=0, group=4)
+    add_hand(spec, hand)
+    weld = spec.add_equality(
+        type=mujoco.mjtEq.mjEQ_WELD, name1="handle", name2="hand_base", objtype=mujoco.mjtObj.mjOBJ_BODY, solref=[0.01, 1]
+    )
+    data = np.zeros(len(weld.data))
+    data[6], data[10] = 1.0, 0.3  # identity relative rotation, torque scale
+    weld.data = data
+
+
+def pose_of(data: mujoco.MjData, body: str) -> Array:
+    """T_base_body (4, 4)."""
+    item = data.body(body)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = item.xmat.reshape(3, 3), item.xpos
+    return T

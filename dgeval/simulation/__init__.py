@@ -1,0 +1,1 @@
+"""A simulated grasp cell that writes recordings with known truth."""

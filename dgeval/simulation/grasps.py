@@ -1,0 +1,147 @@
+"""Grasps checked in physics: random palm poses, free of contact, that close on the object and lift it, by a flying hand.
+
+They stand in for FFHNet in the closed loop (and are its training positives): `quality` is the share of slightly displaced
+repetitions that still lift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dgeval.determinism import generator
+from dgeval.geometry import Array, increment, invert
+from dgeval.physics.hand import ACTUATED, CLOSED, RADIUS, T_hand_palm, quat_wxyz
+from dgeval.physics.objects import ObjectModel, at
+from dgeval.physics.scene import TIMESTEP, build
+
+CLOSE_S, LIFT_S, LIFT_HEIGHT = 0.4, 0.7, 0.20  # the closing ramp; the lift, s and m
+REPETITIONS = 6
+
+
+@dataclass(frozen=True)
+class KnownGrasp:
+    """T_object_palm (4, 4), the 15 joint positions before closing, rad, and the share of repetitions that lifted."""
+
+    T_object_palm: Array
+    preshape: Array
+    quality: float
+
+
+class FlyingHand:
+    """A world with the hand on a handle over a resting object."""
+
+    def __init__(self, thing: ObjectModel) -> None:
+        self.model = build(thing, robot="hand")
+        self.data = mujoco.MjData(self.model)
+        self.rest = thing.rest_height()
+        self._object = self.model.joint("object").qposadr[0]
+        self._hand = self.model.joint("hand").qposadr[0]
+        joints = [self.model.joint(name) for name in ACTUATED]
+        self._fingers = np.array([j.qposadr[0] for j in joints])
+        self._coupled = np.array([self.model.joint(f"{name[:-1]}3").qposadr[0] for name in ACTUATED if name.endswith("2")])
+        self._drives = np.array([self.model.actuator(name).id for name in ACTUATED])
+        kinds = [(self.model.geom(i).contype[0], self.model.geom(i).type[0]) for i in range(self.model.ngeom)]
+        self._capsules = np.array([i for i, (c, t) in enumerate(kinds) if c == 2 and t == mujoco.mjtGeom.mjGEOM_CAPSULE])
+        self._of_hand = np.array([self.model.geom(i).contype[0] == 2 for i in range(self.model.ngeom)])
+
+    def put(self, T_base_hand: Array, preshape: Array) -> None:
+        """The hand at a pose with its fingers preshaped, the object at rest at x 0.5, y 0."""
+        m, d = self.model, self.data
+        mujoco.mj_resetData(m, d)
+        d.qpos[self._object : self._object + 7] = [0.5, 0.0, self.rest, 1, 0, 0, 0]
+        d.qpos[self._hand : self._hand + 3] = T_base_hand[:3, 3]
+        d.qpos[self._hand + 3 : self._hand + 7] = quat_wxyz(T_base_hand[:3, :3])
+        d.mocap_pos[0], d.mocap_quat[0] = T_base_hand[:3, 3], quat_wxyz(T_base_hand[:3, :3])
+        d.qpos[self._fingers] = preshape
+        d.qpos[self._coupled] = preshape[2::3]
+        d.ctrl[self._drives] = preshape
+        mujoco.mj_kinematics(m, d)
+        mujoco.mj_comPos(m, d)
+        mujoco.mj_collision(m, d)
+
+    def touches(self) -> bool:
+        """Whether the hand overlaps anything."""
+        pairs = self.data.contact.geom
+        return bool(len(pairs) and self._of_hand[pairs].any())
+
+    def lowest(self) -> float:
+        """Height of the hand's lowest finger point over the belt, m."""
+        ends = self.data.geom_xpos[self._capsules], self.data.geom_xmat[self._capsules].reshape(-1, 3, 3)[:, :, 2]
+        z = ends[0][:, 2] - np.abs(ends[1][:, 2]) * self.model.geom_size[self._capsules, 1] - RADIUS
+        return float(z.min())
+
+    def lifts(self, preshape: Array) -> bool:
+        """Close, lift, hold for 0.3 s; True if the object came along."""
+        m, d = self.model, self.data
+        start = d.mocap_pos[0].copy()
+        steps = round((CLOSE_S + 0.1 + LIFT_S + 0.3) / TIMESTEP)
+        for k in range(steps):
+            t = k * TIMESTEP
+            closing = min(t / CLOSE_S, 1.0)
+            d.ctrl[self._drives] = preshape + closing * (np.maximum(CLOSED, preshape) - preshape)
+            rise = float(np.clip((t - CLOSE_S - 0.1) / LIFT_S, 0, 1))
+            d.mocap_pos[0, 2] = start[2] + LIFT_HEIGHT * rise * rise * (3 - 2 * rise)
+            mujoco.mj_step(m, d)
+            if k % 25 == 0 and rise > 0.5 and d.qpos[self._object + 2] < self.rest + 0.02:
+                return False
+        return bool(d.qpos[self._object + 2] > self.rest + 0.8 * LIFT_HEIGHT)
+
+
+def candidate(rng: np.random.Generator, thing: ObjectModel) -> tuple[Array, Array]:
+    """A random T_base_hand over the object at rest at (0.5, 0), and a preshape (15,)."""
+    extent = thing.extent()
+    tilt, heading, roll = np.radians(40) * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+    down = np.diag([1.0, -1.0, -1.0])
+    R = Rotation.from_rotvec(tilt * np.array([np.cos(heading), np.sin(heading), 0])).as_matrix() @ down
+    R = R @ Rotation.from_euler("z", roll).as_matrix()
+    inside = np.array([rng.uniform(0.025, 0.075), rng.uniform(-0.005, 0.03), rng.uniform(0.13, 0.20)])
+    top = max(thing.rest_height() - 0.035, 0.0)  # tall objects are taken by their upper part
+    centre = np.array([0.5, 0, thing.rest_height() + rng.uniform(-0.5, 1.0) * top]) + rng.normal(0, 0.10, 3) * extent
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, centre - R @ inside
+    preshape = np.zeros(15)
+    preshape[1::3], preshape[2::3] = rng.uniform(0.0, 0.6), rng.uniform(0.1, 0.6)
+    preshape[1] = rng.uniform(0.0, 0.2)  # the thumb stays open
+    return T, preshape
+
+
+def search(thing: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[KnownGrasp]:
+    """Up to n grasps of an object that lift it, have a free way down to them, and survive most repetitions."""
+    world = FlyingHand(thing)
+    found: list[KnownGrasp] = []
+    T_object_base = invert(at(0.5, 0.0, thing.rest_height()))
+    for k in range(tries):
+        rng = generator(seed, f"grasps/{thing.name}", k)
+        T, preshape = candidate(rng, thing)
+        world.put(T, preshape)
+        T[2, 3] += min(max(0.003 - world.lowest(), 0.0), 0.05)  # fingers that would reach into the belt
+        if not _free_way(world, T, preshape):
+            continue
+        world.put(T, preshape)
+        if not world.lifts(preshape):
+            continue
+        lifted = 0
+        for _ in range(REPETITIONS):
+            moved = T @ increment(np.concatenate([rng.normal(0, 0.004, 3), rng.normal(0, np.radians(3), 3)]))
+            world.put(moved, preshape)
+            lifted += not world.touches() and world.lifts(preshape)
+        if lifted / REPETITIONS >= 0.66:
+            found.append(KnownGrasp(T_object_base @ T @ T_hand_palm, preshape, lifted / REPETITIONS))
+            if len(found) == n:
+                break
+    return found
+
+
+def _free_way(world: FlyingHand, T_base_hand: Array, preshape: Array) -> bool:
+    """Whether hand and straight way down to it, 12 cm from above, touch nothing."""
+    for height in (0.0, 0.02, 0.04, 0.08, 0.12):
+        T = T_base_hand.copy()
+        T[2, 3] += height
+        world.put(T, preshape)
+        if world.touches():
+            return False
+    return True

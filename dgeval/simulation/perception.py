@@ -1,0 +1,93 @@
+"""What the simulated robot believes about the object, frame by frame: modelled as truth with errors, without images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dgeval.determinism import generator
+from dgeval.geometry import Array, increment, invert, transform
+from dgeval.physics.objects import surface_points
+from dgeval.physics.scene import Camera
+from dgeval.simulation.scenario import Plan, Scenario
+from dgeval.simulation.sensors import PROFILES, DepthProfile, colour_from_depth, colour_intrinsics, depth_intrinsics
+from dgeval.simulation.world import World
+
+# The colour camera beside the thumb, looking along the fingers and 12 degrees towards them; ours. Optical y is hand -x.
+_TILT = Rotation.from_euler("x", -12, degrees=True).as_matrix()
+T_hand_camera = np.eye(4)
+T_hand_camera[:3, :3] = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ _TILT
+T_hand_camera[:3, 3] = (0.115, -0.045, -0.06)
+MIN_SHARE = 0.35  # of the object's surface points inside the image and beyond the least range
+
+
+@dataclass(frozen=True)
+class Sight:
+    """One frame's result: T_base_object as the robot believes it, None when the registration was refused or the view lost."""
+
+    T_base_object: Array | None
+
+
+class Perceiver(Protocol):
+    """Looks at the world through the wrist camera at a frame; T_base_hand is what the joints say."""
+
+    def see(self, frame: int, world: World) -> Sight: ...
+
+
+def depth_profile(scenario: Scenario) -> DepthProfile:
+    """The scenario's depth camera."""
+    from dataclasses import replace
+
+    from dgeval.errors import UsageError
+
+    name = scenario.camera.profile
+    if name not in PROFILES:
+        raise UsageError(f"scenario: no camera profile {name!r}", hint=f"known: {', '.join(PROFILES)}")
+    profile = PROFILES[name]
+    if scenario.camera.min_range is not None:
+        profile = replace(profile, min_range=scenario.camera.min_range)
+    return profile
+
+
+def true_cameras(scenario: Scenario, plan: Plan) -> tuple[Camera, Camera]:
+    """Colour and depth camera where they really are: the believed place and the hand-eye fault."""
+    profile = depth_profile(scenario)
+    size = scenario.camera.width, scenario.camera.height
+    T_hand_true = T_hand_camera @ increment(np.array(plan.faults.hand_eye))
+    return (
+        Camera("colour", colour_intrinsics(profile, *size), T_hand_true),
+        Camera("depth", depth_intrinsics(profile, *size), T_hand_true @ colour_from_depth(profile)),
+    )
+
+
+class ModelledPerception:
+    """Truth through the true camera, believed through the calibrated one, with bias, drift, noise and loss of sight.
+
+    Stands in for tracking and registration where a trial is simulated without images.
+    """
+
+    def __init__(self, scenario: Scenario, plan: Plan, world: World) -> None:
+        self._noise, self._plan = scenario.noise, plan
+        self._camera = true_cameras(scenario, plan)[0]
+        self._min_range = depth_profile(scenario).min_range
+        self._points = surface_points(world.thing, 200, generator(0, f"points/{world.thing.name}", 0))
+        self._bias = increment(np.array(plan.faults.registration_bias))
+
+    def see(self, frame: int, world: World) -> Sight:
+        T_base_hand = world.T_base_hand()
+        T_camera_object = invert(T_base_hand @ self._camera.T_hand_camera) @ world.T_base_object()
+        seen = transform(T_camera_object, self._points)
+        k = self._camera.intrinsics
+        pixels = k.project(np.column_stack([seen[:, :2], np.maximum(seen[:, 2], 1e-3)]))
+        inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < k.width) & (pixels[:, 1] < k.height)
+        # the near side is what the camera sees: at least a third of the surface has to be far enough
+        if (inside & (seen[:, 2] > self._min_range)).mean() < MIN_SHARE:
+            return Sight(None)
+        rng = generator(self._plan.seed, f"perception/{self._plan.index}", frame)
+        noise = np.concatenate([rng.normal(0, self._noise.position, 3), np.radians(rng.normal(0, self._noise.angle, 3))])
+        T = T_base_hand @ T_hand_camera @ T_camera_object @ self._bias @ increment(noise)
+        T[:3, 3] += np.array(self._plan.faults.tracker_drift) * world.t
+        return Sight(T)

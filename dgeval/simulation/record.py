@@ -1,0 +1,195 @@
+"""A finished trial as a recording in the contract of real logs (DESIGN section 3), beliefs and truth included."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgeval.determinism import generator
+from dgeval.geometry import Array, invert
+from dgeval.physics.arm import JOINT_NAMES as ARM_JOINTS
+from dgeval.physics.hand import ACTUATED, FINGERS, JOINT_NAMES
+from dgeval.physics.objects import surface_points
+from dgeval.physics.urdf import CAMERA_FRAME, robot_urdf
+from dgeval.recording.write import (
+    McapWriter,
+    camera_info_message,
+    cloud_message,
+    compressed_depth_message,
+    jpeg_message,
+    joint_state,
+    message,
+    png_message,
+    pose_stamped,
+    text,
+    twist_stamped,
+)
+from dgeval.simulation.grasps import KnownGrasp
+from dgeval.simulation.perception import T_hand_camera, depth_profile, true_cameras
+from dgeval.simulation.render import Eyes
+from dgeval.simulation.scenario import Scenario
+from dgeval.simulation.trial import Run
+from dgeval.simulation.truth import Truth
+from dgeval.simulation.world import CLOSE_S, CONTROL_S, SETTLE_S, World, matrix_of
+
+START_NS = 1_800_000_000_000_000_000
+BASE = "base_link"
+JOINT_NOISE, SPEED_NOISE, EFFORT_NOISE = 1e-4, 2e-3, 0.02  # rad, rad/s, Nm; 1 sigma
+DEPTH_TOPIC = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
+COLOUR_TOPIC = "/camera/color/image_raw/compressed"
+STAND_INS = (
+    "simulated: tracking and registration in the loop are modelled (truth with drawn errors), not TransT-M and ICP",
+    "simulated: grasps from an analytic sampler checked in physics and an analytic score stand in for FFHNet",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What was written: frames, bytes, and the box of the target in the first frame (x0 y0 x1 y1 px), None if not seen."""
+
+    frames: int
+    size: int
+    bbox: tuple[float, float, float, float] | None
+
+
+def write_recording(
+    path: Path, run: Run, truth: Truth, blame: dict[str, Any] | None, scenario: Scenario, world: World,
+    grasps: list[KnownGrasp], depth_level: int = 4,
+) -> Recorded:  # fmt: skip
+    """Render the run's frames and write everything in time order. `world` has the run's cameras."""
+    box: tuple[float, float, float, float] | None = None
+    with McapWriter(path) as writer:
+        events = _events(run, scenario)
+        states = _states(run, truth, world)
+        with Eyes(world, true_cameras(scenario, run.plan), depth_profile(scenario), run.plan.seed, run.plan.index) as eyes:
+            writer.write("/robot_description", START_NS, text(robot_urdf(T_hand_camera)))
+            by_tick = {f.tick: (i, f) for i, f in enumerate(run.frames)}
+            first_model: Array | None = None
+            for k, entries in states:
+                t_ns = _at(k)
+                for topic, value in [*events.pop(k, []), *entries]:
+                    writer.write(topic, t_ns, value)
+                if k not in by_tick:
+                    continue
+                index, belief = by_tick[k]
+                colour, depth = eyes.look(index)
+                mask = eyes.mask()
+                if index == 0 and mask.any():
+                    v, u = np.nonzero(mask)
+                    box = float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)
+                camera = true_cameras(scenario, run.plan)[0].intrinsics
+                writer.write("/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera))
+                writer.write(COLOUR_TOPIC, t_ns, jpeg_message(t_ns, CAMERA_FRAME, colour, 85))
+                writer.write(DEPTH_TOPIC, t_ns, compressed_depth_message(t_ns, CAMERA_FRAME, depth, depth_level))
+                T_camera_base = invert(world.T_base_hand() @ T_hand_camera)
+                if belief.accepted and belief.T_base_object is not None:
+                    writer.write("/dgeval/belief/mask", t_ns, png_message(t_ns, CAMERA_FRAME, mask.astype(np.uint8) * 255))
+                if belief.T_base_object is not None:
+                    T_camera_object = T_camera_base @ belief.T_base_object
+                    if first_model is None:
+                        # the model frame is the camera of the first accepted frame, carried with the object
+                        first_model = T_camera_object
+                        points = surface_points(world.thing, 500, generator(run.plan.seed, "model", run.plan.index))
+                        cloud = points @ first_model[:3, :3].T + first_model[:3, 3]
+                        writer.write("/dgeval/belief/model", t_ns, cloud_message(t_ns, CAMERA_FRAME, cloud))
+                    pose = pose_stamped(t_ns, CAMERA_FRAME, T_camera_object @ invert(first_model))
+                    writer.write("/dgeval/belief/target_pose", t_ns, pose)
+                if belief.velocity is not None:
+                    twist = np.concatenate([belief.velocity, np.zeros(3)])
+                    writer.write("/dgeval/belief/velocity", t_ns, twist_stamped(t_ns, BASE, twist))
+                for topic, value in _choice(run, k, t_ns, grasps):
+                    writer.write(topic, t_ns, value)
+        end = _at(len(run.ticks))
+        verdict = verdict_document(run, truth, blame, scenario)
+        writer.write("/truth/verdict", end, text(json.dumps(verdict, sort_keys=True)))
+        writer.write("/dgeval/events", end, text(json.dumps({"event": "trial_end"})))
+    return Recorded(len(run.frames), path.stat().st_size, box)
+
+
+def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scenario: Scenario) -> dict[str, Any]:
+    """Everything that is known for certain about a trial, as one JSON object (`/truth/verdict`)."""
+    plan = run.plan
+    return {
+        "outcome": truth.outcome,
+        "failure_class": truth.failure_class,
+        "sub_cause": truth.sub_cause,
+        "shift_s": truth.shift_s,
+        "curve": truth.curve,
+        "facts": None if truth.facts is None else {k: v for k, v in asdict(truth.facts).items() if k != "curve"},
+        "pose_error_m": truth.pose_error_m,
+        "foreign_contact": truth.foreign_contact,
+        "t_first_contact_s": truth.t_first_contact,
+        "near_threshold": truth.near,
+        "t_close_s": None if run.close is None else round(run.close * CONTROL_S, 3),
+        "faults": plan.faults.as_dict(),
+        "faults_present": plan.faults.present(),
+        "blame": blame,
+        "scenario": scenario.name,
+        "object": plan.object,
+        "speed": plan.speed,
+        "yaw": plan.yaw,
+        "seed": plan.seed,
+        "index": plan.index,
+        "gains": scenario.pipeline.servo.gains,
+    }
+
+
+def _at(tick: int) -> int:
+    return START_NS + round(tick * CONTROL_S * 1e9)
+
+
+def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
+    start = {"event": "trial_start", "notes": [*STAND_INS, f"simulated: servo gains {scenario.pipeline.servo.gains}"]}
+    out = {0: [("/dgeval/events", text(json.dumps(start)))]}
+    if run.close is not None:
+        lift = run.close + round((CLOSE_S + SETTLE_S) / CONTROL_S)
+        out[run.close] = [("/dgeval/events", text(json.dumps({"event": "close"})))]
+        out[lift] = [("/dgeval/events", text(json.dumps({"event": "lift"})))]
+    return out
+
+
+def _states(run: Run, truth: Truth, world: World) -> Iterator[tuple[int, list[tuple[str, Any]]]]:
+    """Each control period with the world put into its state: joints, command, truth."""
+    names = [*ARM_JOINTS, *JOINT_NAMES]
+    where = np.concatenate([world.arm, world.fingers])
+    dofs = np.concatenate([world.arm_dof, world.finger_dof])
+    touching = None
+    for k, tick in enumerate(run.ticks):
+        world.restore(tick.snapshot)
+        t_ns = _at(k)
+        noise = generator(run.plan.seed, f"joints/{run.plan.index}", k).normal(size=(3, len(names)))
+        d = world.data
+        position, velocity = d.qpos[where] + JOINT_NOISE * noise[0], d.qvel[dofs] + SPEED_NOISE * noise[1]
+        effort = d.qfrc_actuator[dofs] + EFFORT_NOISE * noise[2]
+        out = [("/joint_states", joint_state(t_ns, names, position, velocity, effort))]
+        if run.close is None or k <= run.close:
+            out.append(("/dgeval/belief/twist_command", twist_stamped(t_ns, BASE, tick.twist)))
+        out.append(("/truth/object_pose", pose_stamped(t_ns, BASE, world.T_base_object())))
+        if k % 10 == 0:
+            out.append(("/truth/undisturbed_pose", pose_stamped(t_ns, BASE, matrix_of(truth.twin[k, :7]))))
+        forces = world.finger_forces().round(3).tolist()
+        now = {"hand_object": tick.contact, "hand_other": tick.foreign, "finger_force": dict(zip(FINGERS, forces, strict=True))}
+        if tick.contact or tick.foreign or touching is not False:
+            out.append(("/truth/contacts", text(json.dumps(now))))
+        touching = tick.contact or tick.foreign
+        yield k, out
+
+
+def _choice(run: Run, k: int, t_ns: int, grasps: list[KnownGrasp]) -> list[tuple[str, Any]]:
+    """The grasp chosen, its score and the decision, as of a frame."""
+    tick = run.ticks[k]
+    out: list[tuple[str, Any]] = []
+    if tick.T_base_grasp is not None and tick.grasp is not None:
+        out.append(("/dgeval/belief/grasp", pose_stamped(t_ns, BASE, tick.T_base_grasp)))
+        out.append(("/dgeval/belief/grasp_joints", joint_state(t_ns, ACTUATED, grasps[tick.grasp].preshape)))
+    if tick.score is not None:
+        out.append(("/dgeval/belief/score", message("std_msgs/Float64", data=tick.score)))
+    out.append(("/dgeval/belief/execute", message("std_msgs/Bool", data=tick.execute)))
+    return out
+
+

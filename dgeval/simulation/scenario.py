@@ -1,0 +1,128 @@
+"""Scenarios: what a trial is drawn from. A trial is fully determined by (scenario, seed, index)."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from dgeval.config import Config, read_toml
+from dgeval.determinism import generator
+from dgeval.errors import Place, UsageError
+from dgeval.physics.objects import ObjectModel
+from dgeval.simulation.faults import Faults, draw
+
+PACKAGE = resources.files("dgeval.simulation")
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class CameraConfig(_Section):
+    profile: str = "D435"
+    width: int = Field(640, ge=64, le=1920)
+    height: int = Field(480, ge=48, le=1080)
+    rate: float = Field(30.0, gt=0, le=90)
+    min_range: float | None = Field(None, gt=0, description="m, in place of the profile's")
+    drop: float = Field(0.01, ge=0, lt=1, description="share of frames that are lost")
+
+
+class FaultConfig(_Section):
+    share: float = Field(ge=0, le=1)
+    size: tuple[float, ...]
+
+
+class PerceptionNoise(_Section):
+    """Of the modelled perception, per accepted frame; as replay shows on simulated recordings."""
+
+    position: float = Field(0.001, ge=0, description="m, each axis")
+    angle: float = Field(0.6, ge=0, description="degrees, each axis")
+
+
+class EvaluatorConfig(_Section):
+    """The score that stands in for FFHNet's evaluator: (0.8 + 0.2 quality) exp(-d^2/2s_t^2 - a^2/2s_r^2)."""
+
+    position: float = Field(0.016, gt=0, description="s_t, m")
+    angle: float = Field(12.0, gt=0, description="s_r, degrees")
+
+
+class Scenario(_Section):
+    name: str
+    objects: tuple[str, ...] | None = Field(None, description="default: all ten, or those of --meshes")
+    speeds: tuple[float, ...] = (0.0,)
+    trials: int = Field(10, ge=1)
+    max_seconds: float = Field(9.0, gt=1, description="without a close, the trial ends")
+    camera: CameraConfig = CameraConfig()
+    noise: PerceptionNoise = PerceptionNoise()
+    evaluator: EvaluatorConfig = EvaluatorConfig()
+    faults: dict[str, FaultConfig] = {}
+    pipeline: Config = Config()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One trial as drawn: belt speed m/s along +y with sign, object's start x, y m and yaw rad, faults, jitter of the start."""
+
+    id: str
+    object: str
+    speed: float
+    x: float
+    y: float
+    yaw: float
+    faults: Faults
+    seed: int
+    index: int
+    close_jitter: float = 0.0
+
+
+def load_scenario(name: str) -> Scenario:
+    """A built-in scenario by name, or a TOML file. UsageError names the fault."""
+    built_in = sorted(p.name[:-5] for p in (PACKAGE / "scenarios").iterdir() if p.name.endswith(".toml"))
+    if name.endswith(".toml"):
+        path = Path(name)
+    elif name in built_in:
+        path = Path(str(PACKAGE / "scenarios" / f"{name}.toml"))
+    else:
+        near = difflib.get_close_matches(name, built_in, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"built in: {', '.join(built_in)}; or give a FILE.toml"
+        raise UsageError(f"no scenario {name!r}", hint=hint)
+    values: dict[str, Any] = read_toml(path)
+    try:
+        scenario = Scenario.model_validate(values)
+    except ValidationError as error:
+        first: Any = error.errors()[0]
+        where = ".".join(str(p) for p in first["loc"])
+        raise UsageError(f"scenario: {where}: {first['msg']}", Place(str(path))) from error
+    unknown = sorted(set(scenario.faults) - set(Faults.__dataclass_fields__))
+    if unknown:
+        known = ", ".join(Faults.__dataclass_fields__)
+        raise UsageError(f"scenario: no fault {unknown[0]!r}", Place(str(path)), f"known: {known}")
+    return scenario
+
+
+def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, index: int) -> Plan:
+    """Trial `index`: objects and speeds in turn (each object once at every speed), the rest drawn."""
+    names = scenario.objects or tuple(things)
+    missing = [n for n in names if n not in things]
+    if missing:
+        raise UsageError(f"scenario: no object {missing[0]!r}", hint=f"known: {', '.join(things)}")
+    name = names[index % len(names)]
+    speed = scenario.speeds[index // len(names) % len(scenario.speeds)]
+    rng = generator(seed, f"plan/{scenario.name}", index)
+    direction = 1.0 if rng.random() < 0.5 else -1.0
+    yaw = float(rng.uniform(-3.14159, 3.14159))
+    x = 0.50 + float(rng.uniform(-0.03, 0.03))
+    y = -direction * min(0.42, 0.05 + 1.9 * speed) + float(rng.uniform(-0.02, 0.02))
+    values: dict[str, Any] = {}
+    for fault in Faults.__dataclass_fields__:  # each from its own draws, so that adding one changes no other
+        own = generator(seed, f"plan/{scenario.name}/{fault}", index)
+        config = scenario.faults.get(fault)
+        if config is not None and own.random() < config.share:
+            values[fault] = draw(own, fault, config.size)
+    trial_id = f"{name}-{round(speed * 1000):03d}-{index:04d}"
+    return Plan(trial_id, name, direction * speed, x, y, yaw, Faults(**values), seed, index)

@@ -1,0 +1,262 @@
+"""What a stereo depth camera makes of an exact depth image, and its alignment to the colour camera.
+
+Optical frames: x right, y down, z forward. The depth image is that of the LEFT imager; the right one sits at +x, one
+baseline away. Depth is along the optical axis, not along the ray.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.geometry import Array, Intrinsics
+
+Image32 = NDArray[np.float32]
+DepthImage = NDArray[np.uint16]
+
+DEPTH_IMAGER = (1280, 800)  # px, D400 depth imagers
+COLOUR_IMAGER = (1920, 1080)  # px, D435 colour imager
+ROWS = 40  # of a strip: what stays in the cache costs half the time of whole images
+
+
+@dataclass(frozen=True, slots=True)
+class DepthProfile:
+    """One camera model. Probabilities, angles and windows are choices, not literature, unless a comment says otherwise."""
+
+    name: str
+    baseline: float  # m
+    focal: float  # px of the depth imager in the 640x480 stream; `depth_intrinsics` gives it for other streams
+    min_range: float  # m, nothing is measured nearer
+    max_range: float  # m
+    colour_offset: float = 0.0  # m, x of the colour camera in the depth frame
+    colour_hfov: float | None = None  # deg over the full width of the colour imager; None: colour from the depth imager
+    subpixel_sigma: float = 0.08  # px of disparity, 1 sigma on a fronto-parallel surface
+    correlation: float = 2.0  # px, sigma of the Gaussian kernel that makes the noise smooth over a matching window
+    slope_gain: float = 2.0  # sigma grows by this share per px of disparity change from a pixel to the next
+    quantum: float = 1 / 32  # px of disparity, the step of the matcher's output
+    depth_unit: float = 0.001  # m per count
+    ramp: float = 0.1  # losses fall from all to none over this share of the minimum range beyond it
+    jump: float = 1.0  # px of disparity within 5x5 px, beyond what the slope explains, that makes a depth edge
+    flying: float = 0.35  # probability of a value between the two surfaces at an edge
+    edge_hole: float = 0.30  # probability of no value at an edge
+    grazing: float = 65.0  # deg of incidence above which some are lost
+    grazing_loss: float = 0.4  # probability of that
+    grazing_limit: float = 80.0  # deg of incidence above which all are lost
+
+
+# D435: 0.28 m is the minimum range of the 1280x720 stream (data sheet), taken for every size: images are understood as
+# taken at 1280x720 and scaled down, since a loss of depth over the last decimetres before the grasp is what the simulator
+# must be able to show. A true 640x480 stream would begin at 0.175 m, 424x240 at 0.105 m: use dataclasses.replace for
+# those. The noise is nevertheless that of the small stream, the worse of the two.
+# The colour camera lies on the far side of the left imager from the right one: Depth to Color has +15 mm in the
+# calibrations in realsense-ros #2788, so the camera itself is at -15 mm.
+D435 = DepthProfile("D435", 0.050, 385.0, 0.28, 10.0, colour_offset=-0.015, colour_hfov=69.0)
+# D405: 84 degrees over the 1280 px of the imager (librealsense #11427), 0.6 of that scale in 640x480; ideal range
+# 0.07-0.5 m, beyond which it goes on with growing noise.
+D405 = DepthProfile("D405", 0.018, 0.6 * 640 / math.tan(math.radians(42.0)), 0.07, 2.0)
+PROFILES = {profile.name: profile for profile in (D435, D405)}
+
+
+def _stream(focal: float, imager: tuple[int, int], width: int, height: int) -> Intrinsics:
+    """Stream cut from the middle of the imager at the scale that just fills it; focal is that of the full imager."""
+    f = focal * max(width / imager[0], height / imager[1])
+    return Intrinsics(width, height, f, f, (width - 1) / 2, (height - 1) / 2)
+
+
+def depth_intrinsics(profile: DepthProfile, width: int, height: int) -> Intrinsics:
+    """Depth camera of a stream. 4:3 streams lose the sides of the imager, so focal length does not go with width alone.
+
+    For a D435: 385 px in 640x480, 212.6 in 424x240, 641.7 in 1280x720; real ones have 383, 211.4, 638 (librealsense #3474).
+    """
+    return _stream(profile.focal / max(640 / DEPTH_IMAGER[0], 480 / DEPTH_IMAGER[1]), DEPTH_IMAGER, width, height)
+
+
+def colour_intrinsics(profile: DepthProfile, width: int, height: int) -> Intrinsics:
+    """Colour camera of a stream. D435: 621 px in 640x480, 308 in 424x240; a real one has 612, 306 (librealsense #7300)."""
+    if profile.colour_hfov is None:
+        return depth_intrinsics(profile, width, height)
+    focal = COLOUR_IMAGER[0] / 2 / math.tan(math.radians(profile.colour_hfov / 2))
+    return _stream(focal, COLOUR_IMAGER, width, height)
+
+
+def colour_from_depth(profile: DepthProfile) -> Array:
+    """T_colour_depth (4, 4) of the profile: it moves points against the offset of the camera."""
+    T = np.eye(4)
+    T[0, 3] = -profile.colour_offset
+    return T
+
+
+def measure_depth(exact: Image32, camera: Intrinsics, profile: DepthProfile, rng: np.random.Generator) -> DepthImage:
+    """Exact depth (H, W) m, 0 or not finite = nothing -> what the camera reports, counts of `depth_unit`, 0 = no measurement.
+
+    Errors arise where a stereo camera makes them, in disparity d = f B / z px: sigma_z = z^2 sigma_d / (f B) (the formula
+    of Intel's tuning paper; ethz-asl/rotors_simulator, D435 model). The number of draws does not depend on the image.
+    """
+    noise, fate, loss = _noise(exact.shape, profile.correlation, rng), _patches(exact.shape, rng), _patches(exact.shape, rng)
+    out = np.empty(exact.shape, np.uint16)
+    for top in range(0, len(exact), ROWS):
+        low, high = max(top - 2, 0), min(top + ROWS + 2, len(exact))  # 2 rows more for the 5x5 windows
+        strip = _measure_rows(exact[low:high], low, camera, profile, noise[low:high], fate[low:high], loss[low:high])
+        out[top : top + ROWS] = strip[top - low : top - low + ROWS]
+    return out
+
+
+def _measure_rows(
+    exact: Image32, row: int, camera: Intrinsics, profile: DepthProfile, noise: Image32, fate: Image32, loss: Image32
+) -> DepthImage:
+    """`measure_depth` of a strip (h, W) that begins at the given row of the image, with its draws."""
+    fB, quantum = np.float32(camera.fx * profile.baseline), np.float32(profile.quantum)
+    min_range = np.float32(profile.min_range)
+    valid = (exact > 0.001) & (exact < np.inf)  # under a millimetre squares of the disparity would overflow
+    d = np.divide(fB, np.where(valid, exact, np.inf), dtype=np.float32)
+    gx, gy = _gradient(d, 1), _gradient(d, 0)
+    slope = np.minimum(np.abs(gx) + np.abs(gy), np.float32(1))
+    incidence = _cos_incidence(d, gx, gy, row, camera)
+
+    window = np.ones((5, 5), np.uint8)
+    far = cv2.erode(np.where(valid, d, np.float32(1e9)), window)
+    step = cv2.dilate(d, window) - far
+    edge = step > profile.jump + 6 * slope  # a plane changes by up to 4 slopes over the window
+    mix = (fate - np.float32(profile.edge_hole)) / np.float32(max(profile.flying, 1e-6))
+    measured = np.where(edge & (mix >= 0) & (mix < 1), far + mix * step, d)
+    measured += np.float32(profile.subpixel_sigma) * noise * (1 + np.float32(profile.slope_gain) * slope)
+    measured = np.rint(measured / quantum) * quantum
+    z = fB / np.maximum(measured, np.float32(1e-6))  # no disparity is far beyond the greatest range
+
+    near = (z - min_range) / np.float32(profile.ramp * profile.min_range)
+    # the draws are below 1, so nothing is left at or below the minimum range
+    lost = np.maximum(1 - near, np.float32(profile.grazing_loss) * (incidence < math.cos(math.radians(profile.grazing))))
+    keep = valid & ~_shadow(d) & ~(edge & (mix < 0)) & (loss >= lost) & (z <= profile.max_range)
+    keep &= incidence >= math.cos(math.radians(profile.grazing_limit))
+    counts = np.rint(z / np.float32(profile.depth_unit))
+    return np.where(keep & (counts <= 65535), counts, np.float32(0)).astype(np.uint16)
+
+
+def _gradient(d: Image32, axis: int) -> Image32:
+    """Change per px along an axis: the smaller of forward and backward difference, so that edges do not count as slopes."""
+    step = np.diff(d, axis=axis)
+    first, last = (step[:, :1], step[:, -1:]) if axis else (step[:1], step[-1:])
+    step = np.concatenate([first, step, last], axis)
+    size = np.abs(step)
+    if axis:
+        return np.where(size[:, :-1] < size[:, 1:], step[:, :-1], step[:, 1:])
+    return np.where(size[:-1] < size[1:], step[:-1], step[1:])
+
+
+def _cos_incidence(d: Image32, gx: Image32, gy: Image32, row: int, camera: Intrinsics) -> Image32:
+    """Cosine of the angle between ray and surface normal.
+
+    Disparity is affine in the pixel on a plane, d ~ n.r with the ray r = ((u-cx)/fx, (v-cy)/fy, 1), which gives n from
+    the gradient without points or cross products.
+    """
+    u = np.arange(camera.width, dtype=np.float32)[None] - np.float32(camera.cx)
+    v = np.arange(row, row + len(d), dtype=np.float32)[:, None] - np.float32(camera.cy)
+    fx, fy = np.float32(camera.fx), np.float32(camera.fy)
+    nz = d - gx * u - gy * v
+    normal2 = (gx * fx) ** 2 + (gy * fy) ** 2 + nz**2
+    ray2 = (u / fx) ** 2 + (v / fy) ** 2 + 1
+    return np.asarray(d / np.sqrt(np.maximum(normal2 * ray2, np.float32(1e-12))))
+
+
+def _shadow(d: Image32) -> NDArray[np.bool_]:
+    """Pixels (H, W) that the second imager does not see: outside its image, or behind something nearer in its column.
+
+    It sees a pixel of column x at x - d, so a near object hides what lies beside its left edge.
+    """
+    height, width = d.shape
+    x = np.arange(width, dtype=np.float32)[None]
+    # cells of the second image with one column more on its left, which takes what falls outside
+    column = np.maximum(np.rint(x - d), np.float32(-1)).astype(np.intp) + 1
+    cell = (column + (width + 1) * np.arange(height, dtype=np.intp)[:, None]).ravel()
+    seen = np.zeros(height * (width + 1), np.float32)
+    np.maximum.at(seen, cell, d.ravel())
+    # surfaces that the second imager sees larger leave single columns empty, through which the background must not show
+    closed = cv2.morphologyEx(seen.reshape(height, width + 1), cv2.MORPH_CLOSE, np.ones((1, 3), np.uint8)).ravel()
+    return np.asarray((column == 0) | (closed[cell].reshape(d.shape) > d + 1))
+
+
+def _noise(shape: tuple[int, ...], correlation: float, rng: np.random.Generator) -> Image32:
+    """Smooth noise (H, W) of zero mean and unit variance everywhere.
+
+    Uniform bytes: after the kernel has summed some fifty of them they are Gaussian, at a tenth of the cost of normal draws.
+    """
+    half = math.ceil(2.5 * correlation)
+    kernel = np.exp(-0.5 * (np.arange(-half, half + 1) / max(correlation, 1e-6)) ** 2)
+    kernel /= np.sqrt((kernel**2).sum())
+    rows, columns = shape[0] + 2 * half, shape[1] + 2 * half  # a margin, for the kernel to have the same sum at the border
+    white = np.frombuffer(rng.bytes(rows * columns), np.uint8).reshape(rows, columns).astype(np.float32)
+    white -= np.float32(127.5)
+    white *= np.float32(math.sqrt(12 / (256**2 - 1)))
+    smooth: Image32 = cv2.sepFilter2D(white, cv2.CV_32F, kernel, kernel)
+    return smooth[half : half + shape[0], half : half + shape[1]]
+
+
+def _patches(shape: tuple[int, ...], rng: np.random.Generator) -> Image32:
+    """Uniform [0, 1) draws (H, W), equal over 2x2 px: a stereo matcher loses patches rather than single pixels."""
+    coarse = rng.random(((shape[0] + 1) // 2, (shape[1] + 1) // 2), dtype=np.float32)
+    return np.repeat(np.repeat(coarse, 2, 0), 2, 1)[: shape[0], : shape[1]]
+
+
+def align_to_colour(
+    depth: DepthImage, depth_camera: Intrinsics, colour_camera: Intrinsics, T_colour_depth: Array, unit: float
+) -> DepthImage:
+    """Depth image seen from the colour camera, counts of `unit` m along the colour camera's axis; the nearest wins.
+
+    As librealsense does it, each depth pixel is carried over as the rectangle it covers, here a quarter pixel larger on
+    each side, so that neighbours at slightly different depth leave no crack. Roll between the cameras must be small.
+    """
+    if depth_camera == colour_camera and np.array_equal(T_colour_depth, np.eye(4)):
+        return depth.copy()
+    out = np.full(colour_camera.width * colour_camera.height, 65535, np.uint16)
+    for top in range(0, len(depth), ROWS):
+        _draw_rectangles(out, depth[top : top + ROWS], top, depth_camera, colour_camera, T_colour_depth, unit)
+    out[out == 65535] = 0
+    return out.reshape(colour_camera.height, colour_camera.width)
+
+
+def _draw_rectangles(
+    out: DepthImage,
+    depth: DepthImage,
+    row: int,
+    depth_camera: Intrinsics,
+    colour_camera: Intrinsics,
+    T_colour_depth: Array,
+    unit: float,
+) -> None:
+    """A strip (h, W) of the depth image from the given row on, into the flat colour image `out`; the lowest count stays."""
+    T = T_colour_depth.astype(np.float32)
+    width, height = colour_camera.width, colour_camera.height
+    z = depth * np.float32(unit)
+    centre_x = (np.arange(depth.shape[1], dtype=np.float32)[None] - np.float32(depth_camera.cx)) / np.float32(depth_camera.fx)
+    rows = np.arange(row, row + len(depth), dtype=np.float32)[:, None]
+    centre_y = (rows - np.float32(depth_camera.cy)) / np.float32(depth_camera.fy)
+    counts = np.rint(((T[2, 0] * centre_x + T[2, 1] * centre_y + T[2, 2]) * z + T[2, 3]) / np.float32(unit))
+    good = (depth > 0) & (counts >= 1) & (counts < 65535)
+    corners = []
+    for half in (-0.5, 0.5):
+        x, y = centre_x + np.float32(half / depth_camera.fx), centre_y + np.float32(half / depth_camera.fy)
+        px, py, pz = ((T[i, 0] * x + T[i, 1] * y + T[i, 2]) * z + T[i, 3] for i in range(3))
+        scale = np.float32(1) / np.maximum(pz, np.float32(1e-6))
+        corners += [px * scale * np.float32(colour_camera.fx) + np.float32(colour_camera.cx)]
+        corners += [py * scale * np.float32(colour_camera.fy) + np.float32(colour_camera.cy)]
+    margin = np.float32(0.25)
+    u0 = np.ceil(np.minimum(corners[0], corners[2]) - margin).clip(0, width)
+    u1 = np.floor(np.maximum(corners[0], corners[2]) + margin).clip(-1, width - 1)
+    v0 = np.ceil(np.minimum(corners[1], corners[3]) - margin).clip(0, height)
+    v1 = np.floor(np.maximum(corners[1], corners[3]) + margin).clip(-1, height - 1)
+    good &= (u0 <= u1) & (v0 <= v1)
+
+    cell = (v0.astype(np.intp) * width + u0.astype(np.intp)).ravel()
+    counted = counts.astype(np.uint16).ravel()
+    # few sizes of rectangle occur: all of one size at once, cell by cell
+    size = np.where(good, (v1 - v0) * np.float32(width) + (u1 - u0), np.float32(-1)).astype(np.intp).ravel()
+    for kind in np.flatnonzero(np.bincount(size + 1)[1:]).tolist():
+        chosen = np.flatnonzero(size == kind)
+        corner, value = cell[chosen], counted[chosen]
+        for dv in range(kind // width + 1):
+            for du in range(kind % width + 1):
+                np.minimum.at(out, corner + (dv * width + du), value)

@@ -1,0 +1,218 @@
+"""One trial in closed loop: perception, estimation, grasp choice, servo and execution drive the arm until it has lifted.
+
+Estimation, selection, servo, execution and schedule are the stages that replay runs, at 100 Hz on the newest usable frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dgeval.determinism import generator
+from dgeval.geometry import Array, increment, rotation_angle
+from dgeval.physics.hand import MAX_SPEED
+from dgeval.simulation.grasps import KnownGrasp
+from dgeval.simulation.perception import Perceiver, T_hand_camera
+from dgeval.simulation.scenario import EvaluatorConfig, Plan, Scenario
+from dgeval.simulation.world import CONTROL_S, FINISH_S, NEAR, TRUTH_STEP, Finish, Finisher, Snapshot, World, home
+from dgeval.stages.estimation import VelocityFilter
+from dgeval.stages.execution import execute
+from dgeval.stages.schedule import Delayed
+from dgeval.stages.selection import Grasp, select
+from dgeval.stages.servo import Servo
+
+OPEN = np.tile([0.0, 0.15, 0.25], 5)  # fingers before a grasp is chosen
+MAX_TWIST = np.array([0.7, 0.7, 0.7, 2.0, 2.0, 2.0])  # m/s, rad/s
+REACH = 0.62  # m along the belt; beyond it the arm gives up
+
+
+@dataclass(frozen=True, slots=True)
+class Usable:
+    """A frame's result as the controller gets it: image time s, believed T_base_object, velocity (3,) m/s."""
+
+    t: float
+    T_base_object: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class Tick:
+    """One control period: state before it, and what the robot believed and commanded in it.
+
+    contact, foreign: the hand touches the object, or anything else. distance: hand to object, m, up to NEAR, in every
+    third period of the approach.
+    """
+
+    snapshot: Snapshot
+    T_base_object: Array | None
+    T_base_grasp: Array | None
+    grasp: int | None
+    velocity: Array
+    twist: Array
+    score: float | None
+    execute: bool
+    contact: bool
+    foreign: bool
+    distance: float | None
+
+
+@dataclass(frozen=True)
+class FrameBelief:
+    """A camera frame: its control period, whether the registration was accepted, the pose then believed, the filter's word."""
+
+    tick: int
+    accepted: bool
+    T_base_object: Array | None
+    velocity: Array | None
+
+
+@dataclass
+class Run:
+    """A finished trial. `close` is the period of the close command, None if it never came."""
+
+    plan: Plan
+    ticks: list[Tick] = field(default_factory=list)
+    frames: list[FrameBelief] = field(default_factory=list)
+    dropped: list[int] = field(default_factory=list)
+    close: int | None = None
+    finish: Finish | None = None
+    preshape: Array = field(default_factory=lambda: OPEN.copy())
+    unreachable: int = 0
+
+
+def analytic_score(T_base_palm: Array, T_base_grasp: Array, quality: float, bias: float, c: EvaluatorConfig) -> float:
+    """Stand-in for FFHNet's evaluator: how near the palm is to a grasp that is known to hold, and how well that holds."""
+    d = float(np.linalg.norm(T_base_palm[:3, 3] - T_base_grasp[:3, 3]))
+    angle = rotation_angle(T_base_palm[:3, :3].T @ T_base_grasp[:3, :3])
+    value = (0.8 + 0.2 * quality) * np.exp(-0.5 * (d / c.position) ** 2 - 0.5 * (angle / np.radians(c.angle)) ** 2)
+    return float(np.clip(value + bias, 0.0, 1.0))
+
+
+def frame_ticks(rate: float, seconds: float) -> list[int]:
+    """Control periods nearest to the camera's images."""
+    return [round(k / rate / CONTROL_S) for k in range(int(seconds * rate))]
+
+
+def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: Sequence[KnownGrasp], perceiver: Perceiver) -> Run:
+    """Simulate one trial from start to 1.6 s after the lift, or until it gives up."""
+    run = Run(plan)
+    config = scenario.pipeline
+    faults = plan.faults
+    world.start(home(world.kinematics, plan.y), OPEN, plan.x, plan.y, plan.yaw, plan.speed)
+    velocity_filter = VelocityFilter(config.estimation)
+    servo = Servo(config.servo)
+    arriving: Delayed[Usable] = Delayed(config.schedule.perception_latency_s + faults.latency)
+    frames = set(frame_ticks(scenario.camera.rate, scenario.max_seconds + FINISH_S + 1))
+    usable: Usable | None = None
+    due: int | None = None
+    reachable: dict[int, bool] = {}
+    fingers = OPEN.copy()
+    finisher: Finisher | None = None
+    n_frame = 0
+    tick = 0
+    while True:
+        t_ns = round(tick * CONTROL_S * 1e9)
+        if tick in frames:
+            if generator(plan.seed, f"drop/{plan.index}", n_frame).random() < scenario.camera.drop:
+                run.dropped.append(tick)
+            else:
+                sight = perceiver.see(n_frame, world).T_base_object
+                estimate = velocity_filter.step(t_ns, None if sight is None else sight[:3, 3])
+                velocity = None if estimate is None else estimate.velocity + np.array(faults.velocity_bias)
+                T = sight
+                if T is None and run.frames and run.frames[-1].T_base_object is not None and velocity is not None:
+                    T = run.frames[-1].T_base_object.copy()
+                    T[:3, 3] += velocity * (tick - run.frames[-1].tick) * CONTROL_S
+                run.frames.append(FrameBelief(tick, sight is not None, T, velocity))
+                if T is not None and velocity is not None:
+                    arriving.step(t_ns, Usable(tick * CONTROL_S, T, velocity))
+            n_frame += 1
+        newest = arriving.at(t_ns)
+        usable = newest[1] if newest else None
+        snapshot = world.save()
+        contact, foreign = world.touching()
+        if finisher is not None:
+            tick_record = Tick(snapshot, None, None, None, finisher.velocity, np.zeros(6), None, True, contact, foreign, None)
+            run.ticks.append(tick_record)
+            finisher.step()
+            tick += 1
+            if finisher.ticks * CONTROL_S >= FINISH_S:
+                assert finisher.result is not None
+                run.finish = Finish(finisher.result.success, finisher.height)
+                return run
+            continue
+        palm = world.T_base_palm()
+        twist, score, fire, chosen, T_object, T_grasp = np.zeros(6), None, False, None, None, None
+        velocity_now = np.zeros(3)
+        if usable is not None:
+            T_object = usable.T_base_object.copy()
+            velocity_now = usable.velocity
+            # the controller knows its stated latency and makes up for it; it doesn't know of a fault
+            T_object[:3, 3] += velocity_now * (tick * CONTROL_S - usable.t - faults.latency)
+            chosen = _choose(grasps, T_object, palm, config.selection, world, reachable, run)
+            if chosen is not None:
+                T_grasp = T_object @ grasps[chosen].T_object_palm @ increment(np.array(faults.grasp_offset))
+                command = servo.step(t_ns, palm, T_grasp, world.T_base_hand() @ T_hand_camera, T_object[:3, 3], velocity_now)
+                twist = command.twist * min(1.0, float((MAX_TWIST / (np.abs(command.twist) + 1e-12)).min()))
+                early = max(0.0, -faults.close_shift)
+                nearer = _ahead(palm, T_grasp, early * config.servo.c_p_v)
+                score = analytic_score(nearer, T_grasp, grasps[chosen].quality, faults.evaluator_bias, scenario.evaluator)
+                fire = bool(execute(score, config.execution))
+                run.preshape = grasps[chosen].preshape
+        distance = world.hand_distance(NEAR) if tick % TRUTH_STEP == 0 else None
+        run.ticks.append(
+            Tick(snapshot, T_object, T_grasp, chosen, velocity_now, twist, score, fire, contact, foreign, distance)
+        )
+        if fire and due is None:
+            due = tick + round((max(0.0, faults.close_shift) + plan.close_jitter) / CONTROL_S)
+        if due is not None and tick >= due:
+            run.close = tick
+            finisher = Finisher(world, velocity_now, run.preshape)
+            finisher.step()
+            tick += 1
+            continue
+        fingers += np.clip(run.preshape - fingers, -MAX_SPEED * CONTROL_S, MAX_SPEED * CONTROL_S)
+        world.command(world.kinematics.joint_velocity(world.q_set, twist), fingers)
+        world.advance()
+        tick += 1
+        away = plan.speed and abs(world.data.qpos[world.object + 1]) > REACH
+        if away or tick * CONTROL_S > scenario.max_seconds or world.data.qpos[world.object + 2] < -0.1:
+            return run
+
+
+def _ahead(palm: Array, T_grasp: Array, share: float) -> Array:
+    """The palm as it will be nearer to the grasp after `share` time constants of the servo."""
+    T = palm.copy()
+    T[:3, 3] = T_grasp[:3, 3] + (palm[:3, 3] - T_grasp[:3, 3]) * np.exp(-share)
+    return T
+
+
+def _choose(
+    grasps: Sequence[KnownGrasp],
+    T_object: Array,
+    palm: Array,
+    config: object,
+    world: World,
+    reachable: dict[int, bool],
+    run: Run,
+) -> int | None:
+    """Index of the grasp with the best dynamic metric that the arm can reach; unreachable ones are left out for good."""
+    candidates = {k: Grasp(T_object @ g.T_object_palm, 0.8 + 0.2 * g.quality) for k, g in enumerate(grasps)}
+    for k, ok in reachable.items():
+        if not ok:
+            candidates.pop(k, None)
+    while candidates:
+        best = select(list(candidates.values()), palm, config)  # type: ignore[arg-type]
+        if best is None:
+            return None
+        k = next(i for i, g in candidates.items() if g is best[0])
+        if k not in reachable:
+            _, residual = world.kinematics.solve(best[0].T_base_palm, world.q_set, 100)
+            reachable[k] = residual < 1e-3
+        if reachable[k]:
+            return k
+        run.unreachable += 1
+        candidates.pop(k)
+    return None

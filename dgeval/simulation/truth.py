@@ -1,0 +1,191 @@
+"""Outcome and class of a simulated trial, proved by closing at other times, putting the object back, and moving the palm.
+
+SIMULATION section 5 ("the rule"); the decisions are `taxonomy.classify`'s, the facts are found out here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dgeval.geometry import Array, increment, rotation_angle
+from dgeval.simulation.trial import Run
+from dgeval.simulation.world import CONTROL_S, NEAR, TRUTH_STEP, Finish, Finisher, Snapshot, World, matrix_of, twin_path
+from dgeval.taxonomy import Facts, FailureClass, Needs, Outcome, Thresholds, Verdict, classify
+
+AFTER_CLOSE_S = 0.6
+FREE_STEPS_M, FREE_STEPS_DEG = (0.0025, 0.005, 0.0075, 0.010), (5.0, 10.0)
+ERROR_STEPS_M = (0.004, 0.008, 0.012, 0.018, 0.026)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What happened and why. `curve`: (offset s, success) of every close time tried, the real one at 0.
+
+    pose_error_m: smallest palm offset at the close that would have worked, None where none was found or none was looked for.
+    near: thresholds whose shift by 20 % changes the class. twin: rows (pose 7 in MuJoCo's order, velocity 6) per period.
+    """
+
+    outcome: Outcome
+    failure_class: FailureClass | None
+    sub_cause: str | None
+    shift_s: float | None
+    curve: tuple[tuple[float, bool], ...]
+    facts: Facts | None
+    pose_error_m: float | None
+    foreign_contact: bool
+    t_first_contact: float | None
+    near: tuple[str, ...]
+    twin: Array = field(repr=False)
+
+
+class Prover:
+    """Re-simulates from a run's snapshots. Uses the run's world; every question starts from a restored state."""
+
+    def __init__(self, run: Run, world: World) -> None:
+        self.run, self.world = run, world
+        seconds = len(run.ticks) * CONTROL_S + AFTER_CLOSE_S
+        self.twin = twin_path(world.thing, run.plan.speed, run.plan.x, run.plan.y, run.plan.yaw, seconds)
+        self.end = run.close if run.close is not None else len(run.ticks) - 1
+
+    def closes(self, snapshot: Snapshot, velocity: Array) -> Finish:
+        """Close from a state, follow at a velocity, lift."""
+        self.world.restore(snapshot)
+        return Finisher(self.world, velocity, self.run.preshape).finish()
+
+    def curve(self) -> tuple[tuple[float, bool], ...]:
+        """Success over close time: from the first distance under 8 cm to 0.6 s after the real close, every 30 ms."""
+        ticks = self.run.ticks
+        near = [k for k in range(self.end + 1) if (d := ticks[k].distance) is not None and d < NEAR]
+        if not near:
+            return ()
+        out = []
+        first = self.end - (self.end - near[0]) // TRUTH_STEP * TRUTH_STEP
+        for k in range(first, self.end + 1, TRUTH_STEP):
+            if ticks[k].grasp is not None:
+                out.append(((k - self.end) * CONTROL_S, self.closes(ticks[k].snapshot, ticks[k].velocity).success))
+        if self.run.close is not None:
+            tick = ticks[self.end]
+            for offset, snapshot in self._held_open(tick.snapshot, tick.twist):
+                out.append((offset, self.closes(snapshot, tick.velocity).success))
+        return tuple((round(offset, 3), success) for offset, success in out)
+
+    def _held_open(self, start: Snapshot, twist: Array) -> list[tuple[float, Snapshot]]:
+        """The approach gone on with at constant twist and open fingers: (offset s, state) every 30 ms after the close."""
+        w = self.world
+        w.restore(start)
+        out = []
+        for k in range(1, round(AFTER_CLOSE_S / CONTROL_S) + 1):
+            w.command(w.kinematics.joint_velocity(w.q_set, twist), self.run.preshape)
+            w.advance()
+            if k % TRUTH_STEP == 0:
+                out.append((k * CONTROL_S, w.save()))
+        return out
+
+    def displacement(self) -> tuple[Array, Array]:
+        """Distance m and angle degrees off the undisturbed path in each period up to the close."""
+        metres, degrees = np.zeros(self.end + 1), np.zeros(self.end + 1)
+        for k in range(self.end + 1):
+            T, T_twin = self._object(k), matrix_of(self.twin[k, :7])
+            metres[k] = np.linalg.norm(T[:3, 3] - T_twin[:3, 3])
+            degrees[k] = np.degrees(rotation_angle(T[:3, :3].T @ T_twin[:3, :3]))
+        return metres, degrees
+
+    def _object(self, k: int) -> Array:
+        # mjSTATE_INTEGRATION begins with time and then qpos
+        at = 1 + self.world.object
+        return matrix_of(self.run.ticks[k].snapshot.state[at : at + 7])
+
+    def put_back(self, k: int) -> tuple[float, bool]:
+        """The object on its undisturbed path in period k: overlap with the hand, m, and whether closing then works."""
+        w = self.world
+        w.restore(self.run.ticks[k].snapshot)
+        w.put_object(self.twin[k, :7], self.twin[k, 7:])
+        overlap = w.overlap()
+        return overlap, Finisher(w, self.run.ticks[k].velocity, self.run.preshape).finish().success
+
+    def free_pose(self) -> bool:
+        """As put_back at the close, with the palm moved by at most 10 mm or 10 degrees to where nothing overlaps."""
+        w, tick = self.world, self.run.ticks[self.end]
+        moves = [np.zeros(6)]
+        for step in FREE_STEPS_M:
+            moves += [np.concatenate([step * d, np.zeros(3)]) for d in _directions()]
+        for angle in FREE_STEPS_DEG:
+            moves += [np.concatenate([np.zeros(3), np.radians(angle) * s * e]) for e in np.eye(3) for s in (1, -1)]
+        for move in moves:
+            w.restore(tick.snapshot)
+            if w.put_arm(w.T_base_palm() @ increment(move)) > 1e-3:
+                continue
+            w.put_object(self.twin[self.end, :7], self.twin[self.end, 7:])
+            if w.overlap() <= 1e-4:
+                return Finisher(w, tick.velocity, self.run.preshape).finish().success
+        return False
+
+    def pose_error(self) -> float | None:
+        """Smallest palm offset at the executed close, m, over a few directions, from which it would have worked."""
+        w, tick = self.world, self.run.ticks[self.end]
+        for step in ERROR_STEPS_M:
+            for d in _directions()[:6]:
+                w.restore(tick.snapshot)
+                if w.put_arm(w.T_base_palm() @ increment(np.concatenate([step * d, np.zeros(3)]))) > 1e-3:
+                    continue
+                if w.overlap() > 0.002:
+                    continue
+                if Finisher(w, tick.velocity, self.run.preshape).finish().success:
+                    return step
+        return None
+
+
+def _directions() -> list[Array]:
+    """Six axes, then eight diagonals."""
+    axes = [s * e for e in np.eye(3) for s in (1.0, -1.0)]
+    return axes + [np.array([a, b, c]) / np.sqrt(3) for a in (1, -1) for b in (1, -1) for c in (1, -1)]
+
+
+def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bool = True) -> Truth:
+    """Outcome, class and evidence of a run. `near`: also ask which thresholds decide by less than 20 %."""
+    thresholds = thresholds or Thresholds()
+    prover = Prover(run, world)
+    contacts = [k for k in range(prover.end + 1) if run.ticks[k].contact]
+    t_contact = contacts[0] * CONTROL_S if contacts else None
+    foreign = any(t.foreign for t in run.ticks[: prover.end + 1])
+    curve = prover.curve()
+    if run.finish is not None and run.finish.success:
+        return Truth("success", None, None, None, curve, None, None, foreign, t_contact, (), prover.twin)
+    metres, degrees = prover.displacement()
+    displaced = [k for k in range(prover.end + 1) if metres[k] > 0.001 or degrees[k] > 1.0]
+    facts = Facts(
+        closed=run.close is not None,
+        displacement_m=float(metres.max()),
+        displacement_deg=float(degrees.max()),
+        curve=tuple(c for c in curve if c[0] != 0.0 or run.close is None),
+        contact_s=(displaced[0] - 1 - prover.end) * CONTROL_S if displaced and contacts else None,
+        height_m=run.finish.height if run.finish is not None else 0.0,
+    )
+    verdict, facts = _decide(prover, facts, thresholds, contacts)
+    changed = []
+    if near:
+        for name in ("moved_m", "moved_deg", "overlap_m", "unstable_m"):
+            for factor in (0.8, 1.2):
+                other, facts = _decide(prover, facts, thresholds.scaled(name, factor), contacts)
+                if other.failure_class != verdict.failure_class:
+                    changed.append(f"{name} x {factor}")
+    error = prover.pose_error() if verdict.failure_class == "imprecise_pose" and run.close is not None else None
+    outcome: Outcome = "failure"
+    return Truth(
+        outcome, verdict.failure_class, verdict.sub_cause, verdict.shift_s, curve, facts, error, foreign, t_contact,
+        tuple(changed), prover.twin,
+    )  # fmt: skip
+
+
+def _decide(prover: Prover, facts: Facts, thresholds: Thresholds, contacts: list[int]) -> tuple[Verdict, Facts]:
+    """Ask the rule, find out what it wants to know, ask again."""
+    while isinstance(answer := classify(facts, thresholds), Needs):
+        if answer.fact == "free_pose":
+            facts = replace(facts, free_pose=prover.free_pose())
+        else:
+            k = prover.end if facts.closed or not contacts else contacts[0]
+            overlap, works = prover.put_back(k)
+            facts = replace(facts, overlap_m=overlap, put_back=works)
+    return answer, facts

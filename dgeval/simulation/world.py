@@ -1,0 +1,290 @@
+"""The physical side of a trial: arm, hand, belt and object stepped in time, saved and restored to the last bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from dgeval.geometry import Array, transform
+from dgeval.physics.arm import DAMPING, STIFFNESS, ArmKinematics
+from dgeval.physics.arm import JOINT_NAMES as ARM_JOINTS
+from dgeval.physics.hand import ACTUATED, CLOSED, FINGERS, JOINT_NAMES, T_hand_palm
+from dgeval.physics.objects import ObjectModel
+from dgeval.physics.scene import TIMESTEP, Camera, build, pose_of
+
+CONTROL_S = 0.010  # period of the control loop
+SUBSTEPS = round(CONTROL_S / TIMESTEP)
+CLOSE_S, SETTLE_S, LIFT_S, LIFT_HEIGHT, HOLD_S = 0.4, 0.1, 0.7, 0.20, 1.6  # closing ramp, wait, lift (m), hold after it
+SUCCESS_HOLD_S = 1.0  # after the lift ends (SIMULATION section 5)
+FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + HOLD_S
+MIN_LIFT, MAX_FROM_HAND = 0.10, 0.15  # m: over its support; object's centre from the grasp's centre
+GRASP_CENTRE = np.array([0.05, 0.012, 0.165])  # in hand_base
+TRUTH_STEP = 3  # control periods between the close times tried, 30 ms
+NEAR = 0.08  # m; hand to object, where the window of other close times begins
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything a continuation needs: the physical state, the arm's set point (7,), time s."""
+
+    t: float
+    state: Array
+    q_set: Array
+
+
+class World:
+    """One compiled world and its state. Times are physics steps from 0; base frame = arm's base."""
+
+    def __init__(self, thing: ObjectModel, belt_speed: float, cameras: tuple[Camera, ...] = ()) -> None:
+        self.thing = thing
+        self.model = build(thing, belt_speed, "arm", cameras)
+        self.data = mujoco.MjData(self.model)
+        self.kinematics = ArmKinematics()
+        m = self.model
+        self.arm = np.array([m.joint(n).qposadr[0] for n in ARM_JOINTS])
+        self.arm_dof = np.array([m.joint(n).dofadr[0] for n in ARM_JOINTS])
+        self.fingers = np.array([m.joint(n).qposadr[0] for n in JOINT_NAMES])
+        self.finger_dof = np.array([m.joint(n).dofadr[0] for n in JOINT_NAMES])
+        self.object = int(m.joint("object").qposadr[0])
+        self.object_dof = int(m.joint("object").dofadr[0])
+        self._arm_drives = np.array([m.actuator(n).id for n in ARM_JOINTS])
+        self._finger_drives = np.array([m.actuator(n).id for n in ACTUATED])
+        solid = [(g, m.geom(g)) for g in range(m.ngeom)]
+        self.hand_geoms = [g for g, geom in solid if geom.contype[0] == 2]
+        self.object_geoms = [g for g, geom in solid if geom.name.startswith("object_")]
+        self._is_hand = np.zeros(m.ngeom, bool)
+        self._is_hand[self.hand_geoms] = True
+        self._is_object = np.zeros(m.ngeom, bool)
+        self._is_object[self.object_geoms] = True
+        self._size = mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._contact_bits = m.geom_conaffinity[self.hand_geoms].copy(), m.geom_contype[self.hand_geoms].copy()
+        self.q_set = np.zeros(7)
+        self.rest = thing.rest_height()
+
+    def start(self, q_arm: Array, preshape: Array, x: float, y: float, yaw: float, object_velocity: float) -> None:
+        """Arm and fingers at rest, the object standing on the belt and moving with it."""
+        d = self.data
+        mujoco.mj_resetData(self.model, d)
+        d.qpos[self.arm] = self.q_set = q_arm.copy()
+        fingers = preshape.reshape(5, 3)
+        d.qpos[self.fingers] = np.concatenate([fingers, fingers[:, 2:]], axis=1).ravel()
+        d.qpos[self.object : self.object + 7] = [x, y, self.rest, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+        d.qvel[self.object_dof + 1] = object_velocity
+        self.command(np.zeros(7), preshape)
+        mujoco.mj_forward(self.model, d)
+
+    @property
+    def t(self) -> float:
+        return float(self.data.time)
+
+    def command(self, dq: Array, fingers: Array) -> None:
+        """Advance the arm's set point by one control period at speeds dq (7,), and set the fingers' drives (15,)."""
+        self.q_set = self.q_set + dq * CONTROL_S
+        # telling the drive the speed too cancels the lag that its damping would cause
+        self.data.ctrl[self._arm_drives] = self.q_set + dq * (DAMPING / STIFFNESS)
+        self.data.ctrl[self._finger_drives] = fingers
+
+    def save(self) -> Snapshot:
+        state = np.empty(self._size)
+        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        return Snapshot(self.t, state, self.q_set.copy())
+
+    def restore(self, snapshot: Snapshot) -> None:
+        mujoco.mj_setState(self.model, self.data, snapshot.state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self.q_set = snapshot.q_set.copy()
+        mujoco.mj_forward(self.model, self.data)
+
+    def put_object(self, pose_wxyz: Array, velocity: Array) -> None:
+        """Object to a pose (7,) in MuJoCo's order and velocity (6,); call after restore."""
+        self.data.qpos[self.object : self.object + 7] = pose_wxyz
+        self.data.qvel[self.object_dof : self.object_dof + 6] = velocity
+        self.data.qacc_warmstart[:] = 0
+        mujoco.mj_forward(self.model, self.data)
+
+    def put_arm(self, T_base_palm: Array) -> float:
+        """Move the arm to a palm pose at once, the fingers as they are; returns what inverse kinematics leaves (m)."""
+        q, residual = self.kinematics.solve(T_base_palm, self.q_set, 60)
+        self.data.qpos[self.arm] = self.q_set = q
+        self.data.qacc_warmstart[:] = 0
+        self.command(np.zeros(7), self.data.ctrl[self._finger_drives].copy())
+        mujoco.mj_forward(self.model, self.data)
+        return residual
+
+    def hand_contact(self, on: bool) -> None:
+        """Switch all contact of the hand off or on again."""
+        self.model.geom_conaffinity[self.hand_geoms] = self._contact_bits[0] if on else 0
+        self.model.geom_contype[self.hand_geoms] = self._contact_bits[1] if on else 0
+
+    def T_base_hand(self) -> Array:
+        return pose_of(self.data, "hand_base")
+
+    def T_base_palm(self) -> Array:
+        return self.T_base_hand() @ T_hand_palm
+
+    def T_base_object(self) -> Array:
+        return pose_of(self.data, "object")
+
+    def object_state(self) -> tuple[Array, Array]:
+        """Pose (7,) in MuJoCo's order and velocity (6,) of the object."""
+        d = self.data
+        return (
+            d.qpos[self.object : self.object + 7].copy(),
+            d.qvel[self.object_dof : self.object_dof + 6].copy(),
+        )
+
+    def touching(self) -> tuple[bool, bool]:
+        """Whether the hand touches the object, and anything else."""
+        pairs = self.data.contact.geom
+        if not len(pairs):
+            return False, False
+        hand = self._is_hand[pairs].any(axis=1)
+        thing = self._is_object[pairs].any(axis=1)
+        return bool((hand & thing).any()), bool((hand & ~thing).any())
+
+    def overlap(self) -> float:
+        """Deepest overlap of hand and object, m, 0 without contact."""
+        pairs = self.data.contact.geom
+        if not len(pairs):
+            return 0.0
+        both = self._is_hand[pairs].any(axis=1) & self._is_object[pairs].any(axis=1)
+        return float(max(0.0, -self.data.contact.dist[both].min())) if both.any() else 0.0
+
+    def hand_distance(self, limit: float) -> float:
+        """Least distance of hand and object, m, at most `limit`."""
+        m, d = self.model, self.data
+        reach = limit + 0.15
+        if np.linalg.norm(transform(self.T_base_hand(), GRASP_CENTRE[None])[0] - d.xpos[m.body("object").id]) > reach + 0.15:
+            return limit
+        best = limit
+        for a in self.hand_geoms:
+            for b in self.object_geoms:
+                gap = np.linalg.norm(d.geom_xpos[a] - d.geom_xpos[b]) - m.geom_rbound[a] - m.geom_rbound[b]
+                if gap < best:
+                    best = min(best, mujoco.mj_geomDistance(m, d, a, b, best, None))
+        return float(best)
+
+    def finger_forces(self) -> Array:
+        """Sum of normal contact forces on each finger (5,), N."""
+        out = np.zeros(5)
+        force = np.zeros(6)
+        names = {g: self.model.geom(g).name for g in self.hand_geoms}
+        for k in range(self.data.ncon):
+            for g in self.data.contact.geom[k]:
+                finger = names.get(int(g), "").split("_")[0]
+                if finger in FINGERS:
+                    mujoco.mj_contactForce(self.model, self.data, k, force)
+                    out[FINGERS.index(finger)] += abs(force[0])
+        return out
+
+    def advance(self, steps: int = SUBSTEPS) -> None:
+        mujoco.mj_step(self.model, self.data, steps)
+
+    def in_hand(self) -> bool:
+        """The object is off its support by MIN_LIFT, touches the hand and is where hands hold things."""
+        T = self.T_base_object()
+        if T[2, 3] < self.rest + MIN_LIFT or not self.touching()[0]:
+            return False
+        centre = transform(self.T_base_hand(), GRASP_CENTRE[None])[0]
+        return bool(np.linalg.norm(T[:3, 3] - centre) < MAX_FROM_HAND)
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """How closing and lifting ended: success, and the object's greatest height over its support, m."""
+
+    success: bool
+    height: float
+
+
+def finishing_twist(since_close: float, velocity: Array) -> Array:
+    """Palm twist (6,) after the close command: follow the object, then lift straight up while the following dies out."""
+    twist = np.zeros(6)
+    lift = since_close - CLOSE_S - SETTLE_S
+    share = float(np.clip(lift / LIFT_S, 0.0, 1.0))
+    twist[:3] = velocity * (1 - share)
+    if 0 < share < 1:
+        twist[2] += LIFT_HEIGHT / LIFT_S * 6 * share * (1 - share)
+    return twist
+
+
+def finger_targets(since_close: float, preshape: Array) -> Array:
+    """Finger drives (15,) a time after the close command, s."""
+    closing = float(np.clip(since_close / CLOSE_S, 0.0, 1.0))
+    return np.asarray(preshape + closing * (np.maximum(CLOSED, preshape) - preshape))
+
+
+class Finisher:
+    """Closing, lifting and holding, one control period at a time; the same in the trial and in every 'what if'."""
+
+    def __init__(self, world: World, velocity: Array, preshape: Array) -> None:
+        self.world, self.velocity, self.preshape = world, velocity, preshape
+        self.ticks = 0
+        self.height = 0.0
+        self.result: Finish | None = None
+
+    def step(self) -> None:
+        since = self.ticks * CONTROL_S
+        w = self.world
+        dq = w.kinematics.joint_velocity(w.q_set, finishing_twist(since, self.velocity))
+        w.command(dq, finger_targets(since, self.preshape))
+        w.advance()
+        self.ticks += 1
+        self.height = max(self.height, float(w.data.qpos[w.object + 2]) - w.rest)
+        if self.result is None and self._decided():
+            self.result = Finish(self._succeeded, self.height)
+
+    def _decided(self) -> bool:
+        """Whether the outcome is certain now; a hand that has left the object behind can't have it later."""
+        w = self.world
+        lift = self.ticks * CONTROL_S - CLOSE_S - SETTLE_S
+        self._succeeded = False
+        if 0.2 * LIFT_S < lift < LIFT_S and not w.touching()[0]:
+            return True
+        if lift > 0.45 * LIFT_S and w.data.qpos[w.object + 2] < w.rest + 0.01:
+            return True
+        if lift >= LIFT_S and not w.in_hand():
+            return True
+        self._succeeded = lift > LIFT_S + SUCCESS_HOLD_S
+        return self._succeeded
+
+    def finish(self) -> Finish:
+        """Run to where the outcome is certain."""
+        while self.result is None:
+            self.step()
+        return self.result
+
+
+def twin_path(thing: ObjectModel, belt_speed: float, x: float, y: float, yaw: float, seconds: float) -> Array:
+    """The object without any robot: rows (pose 7, velocity 6) in MuJoCo's order, one per control period from t = 0."""
+    model = build(thing, belt_speed, "none")
+    data = mujoco.MjData(model)
+    data.qpos[:7] = [x, y, thing.rest_height(), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+    data.qvel[1] = belt_speed
+    mujoco.mj_forward(model, data)
+    rows = [np.concatenate([data.qpos[:7], data.qvel[:6]])]
+    for _ in range(round(seconds / CONTROL_S)):
+        mujoco.mj_step(model, data, SUBSTEPS)
+        rows.append(np.concatenate([data.qpos[:7], data.qvel[:6]]))
+    return np.array(rows)
+
+
+def matrix_of(pose_wxyz: Array) -> Array:
+    """MuJoCo's (7,) x y z qw qx qy qz -> T (4, 4)."""
+    T = np.eye(4)
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, pose_wxyz[3:7])
+    T[:3, :3], T[:3, 3] = R.reshape(3, 3), pose_wxyz[:3]
+    return T
+
+
+def home(kinematics: ArmKinematics, y: float, height: float = 0.46) -> Array:
+    """Arm joints (7,) with the hand over the belt pointing straight down, its palm normal along base +x."""
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[:3, 3] = (0.43, y, height)
+    turn = np.arctan2(y, 0.45)
+    q, residual = kinematics.solve(T @ T_hand_palm, np.array([turn, -0.37, 0.0, 2.32, 0.0, -1.19, -turn]))
+    if residual > 1e-4:
+        raise ValueError(f"the arm does not reach its home over y = {y} m")
+    return q
