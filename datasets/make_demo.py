@@ -18,8 +18,6 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from dgeval.geometry import Array, Intrinsics, invert, pose_from_matrix
-
-from raycast import Box, Capsule, Scene, add_noise, printed, render, speckle
 from dgeval.recording.write import (
     McapWriter,
     camera_info_message,
@@ -29,6 +27,8 @@ from dgeval.recording.write import (
     message,
     pose_message,
 )
+
+from raycast import Box, Capsule, Scene, add_noise, printed, render, speckle
 
 START_NS = 1_780_000_000_000_000_000
 RATE = 15.0

@@ -1,4 +1,7 @@
-"""Search grasps for the ten objects and write dgeval/simulation/known_grasps.json (some minutes on two cores)."""
+"""Search grasps for the ten objects, or those named, and put them into dgeval/simulation/known_grasps.json.
+
+python datasets/make_grasps.py [OBJECT...]      # all: some 25 minutes on two cores
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,11 @@ from dgeval.determinism import set_thread_variables
 
 set_thread_variables()
 
-from dgeval.geometry import pose_from_matrix  # noqa: E402
-from dgeval.physics.objects import ten_objects  # noqa: E402
-from dgeval.simulation.grasps import search  # noqa: E402
+from dgeval.geometry import pose_from_matrix
+from dgeval.physics.objects import ten_objects
+from dgeval.simulation.grasps import search
 
-WANTED, TRIES, SEED = 24, 120_000, 11
+WANTED, TRIES, SEED = 24, 200_000, 11
 
 
 def of(name: str) -> tuple[str, list[dict[str, object]]]:
@@ -31,10 +34,12 @@ def of(name: str) -> tuple[str, list[dict[str, object]]]:
 
 
 if __name__ == "__main__":
-    out = Path(sys.argv[1] if len(sys.argv) > 1 else "dgeval/simulation/known_grasps.json")
+    out = Path("dgeval/simulation/known_grasps.json")
+    known = json.loads(out.read_text()) if out.exists() else {}
+    names = sys.argv[1:] or list(ten_objects())
     with ProcessPoolExecutor(2) as pool:
-        grasps = {}
-        for name, found in pool.map(of, ten_objects()):
+        for name, found in pool.map(of, names):
             print(name, len(found), [g["quality"] for g in found], flush=True)
-            grasps[name] = found
-    out.write_text(json.dumps(grasps, indent=None, separators=(",", ":")).replace("}],", "}],\n") + "\n")
+            known[name] = found
+    ordered = {name: known[name] for name in ten_objects() if name in known}
+    out.write_text(json.dumps(ordered, separators=(",", ":")).replace("}],", "}],\n") + "\n")

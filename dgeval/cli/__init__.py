@@ -8,7 +8,7 @@ set_thread_variables()  # before numpy is imported anywhere
 
 import typer  # noqa: E402
 
-from dgeval.cli import config_show, inspect, replay, report, view  # noqa: E402
+from dgeval.cli import config_show, inspect, replay, report, simulate, view  # noqa: E402
 
 app = typer.Typer(
     name="dgeval",
@@ -21,6 +21,7 @@ app.command("replay", epilog=replay.EXAMPLES)(replay.replay)
 app.command("report", epilog=report.EXAMPLES)(report.report)
 app.command("inspect", epilog=inspect.EXAMPLES)(inspect.inspect)
 app.command("view", epilog=view.EXAMPLES)(view.view)
+app.command("simulate", epilog=simulate.EXAMPLES)(simulate.simulate)
 app.add_typer(config_show.app, name="config")
 
 

@@ -42,7 +42,12 @@ def add_arm(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> mujoco.MjsBody:
         place(parent, pose(xyz, rpy))
         parent.mass, parent.inertia, parent.explicitinertial = 2.0, [0.01] * 3, True
         parent.add_joint(
-            name=JOINT_NAMES[k], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], range=[lower, upper], limited=True, armature=0.1
+            name=JOINT_NAMES[k],
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[0, 0, 1],
+            range=[lower, upper],
+            limited=True,
+            armature=0.1,
         )
         drive = spec.add_actuator(name=JOINT_NAMES[k], target=JOINT_NAMES[k], trntype=mujoco.mjtTrn.mjTRN_JOINT)
         drive.set_to_position(kp=STIFFNESS[k], kv=DAMPING[k])

@@ -112,7 +112,11 @@ def add_hand(spec: mujoco.MjSpec, hand_base: mujoco.MjsBody) -> None:
             a, b = capsule_ends(joint)
             if b.any():
                 geom = body.add_geom(
-                    type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*a, *b], size=[RADIUS, 0, 0], mass=joint.mass, name=f"{finger}_{k}"
+                    type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                    fromto=[*a, *b],
+                    size=[RADIUS, 0, 0],
+                    mass=joint.mass,
+                    name=f"{finger}_{k}",
                 )
                 _solid(geom)
                 geom.rgba = [0.45, 0.46, 0.49, 1] if k % 2 else [0.30, 0.31, 0.33, 1]

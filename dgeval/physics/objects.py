@@ -7,6 +7,7 @@ set of convex parts for contact and, where those would look like what they are, 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Literal
 
 import mujoco
@@ -91,7 +92,8 @@ class ObjectModel:
 
     def extent(self) -> Array:
         """Size (3,) of the bounding box, m."""
-        return np.array([-min(p.lowest(s * e) for p in self.parts) for e in np.eye(3) for s in (1.0, -1.0)]).reshape(3, 2).sum(1)
+        reach = [-min(p.lowest(s * e) for p in self.parts) for e in np.eye(3) for s in (1.0, -1.0)]
+        return np.asarray(np.array(reach).reshape(3, 2).sum(axis=1))
 
 
 def at(x: float = 0.0, y: float = 0.0, z: float = 0.0, R: Array | None = None) -> Array:
@@ -122,7 +124,7 @@ def vessel(
     parts = [Part("cylinder", at(0, 0, -height / 2 + wall / 2), (r_bottom - wall / 2, wall / 2))]
     for k in range(n):
         angle = 2 * np.pi * k / n
-        R = Rotation.from_euler("zy", [angle, tilt]).as_matrix()
+        R = Rotation.from_euler("ZY", [angle, tilt]).as_matrix()
         half = (wall / 2, middle * np.tan(np.pi / n) + wall / 4, slant / 2)
         parts.append(Part("box", at(middle * np.cos(angle), middle * np.sin(angle), 0, R), half))
     if handle:
@@ -144,7 +146,7 @@ def stack(name: str, sections: list[tuple[float, float, float]], mass: float, lo
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     low, high = sections[0][2], sections[-1][2]
     rings = [np.stack([a * np.cos(turn), b * np.sin(turn), np.full(24, z - (low + high) / 2)], 1) for a, b, z in sections]
-    parts = tuple(Part("hull", np.eye(4), vertices=np.concatenate(pair)) for pair in zip(rings, rings[1:], strict=False))
+    parts = tuple(Part("hull", np.eye(4), vertices=np.concatenate(pair)) for pair in pairwise(rings))
     return ObjectModel(name, mass, parts, look)
 
 
@@ -163,7 +165,7 @@ def ten_objects() -> dict[str, ObjectModel]:
     made = [
         box("sugar_box", (38, 89, 175), 0.514, Look("print", (225, 190, 40))),
         box("pudding_box", (35, 110, 89), 0.187, Look("print", (120, 70, 40))),
-        box("gelatin_box", (73, 85, 28), 0.097, Look("print", (190, 50, 60))),
+        box("gelatin_box", (28, 85, 73), 0.097, Look("print", (190, 50, 60))),
         stack("mustard_bottle", bottle, 0.603, Look("print", (235, 200, 30))),
         ball("apple", 0.075, 0.068, Look("mottled", (170, 35, 35))),
         vessel("mug", 0.0465, 0.0465, 0.081, 0.004, 0.118, Look("print", (180, 45, 40)), handle=0.024),
@@ -176,7 +178,7 @@ def ten_objects() -> dict[str, ObjectModel]:
 
 
 def procedural_object(index: int, seed: int = 0) -> ObjectModel:
-    """Object `index` of an endless training set: kinds, sizes 30 to 160 mm and masses 30 to 600 g at random, none of the ten."""
+    """Object `index` of an endless training set: of random kind, size and mass (30 to 600 g)."""
     from dgeval.determinism import generator
 
     rng = generator(seed, "procedural", index)
@@ -233,14 +235,15 @@ def add_object(spec: mujoco.MjSpec, model: ObjectModel) -> mujoco.MjsBody:
             geom.group = 3  # not drawn
     if model.mesh is not None:
         vertices, faces = model.mesh
-        spec.add_mesh(name="seen", uservert=vertices.astype(np.float32).ravel(), userface=faces.ravel(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-        seen = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="seen", material=material, contype=0, conaffinity=0, mass=0)
-        seen.group = 1
+        mesh = spec.add_mesh(name="seen", uservert=vertices.astype(np.float32).ravel(), userface=faces.ravel())
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        shown = [body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="seen")]
         for part in model.parts:
-            if part.kind == "capsule":
-                place(body.add_geom(
-                    type=GEOM["capsule"], size=[*part.size, 0], contype=0, conaffinity=0, mass=0, material=material, group=1
-                ), part.T_object_part)
+            if part.kind == "capsule":  # a handle is not part of the surface of revolution
+                shown.append(body.add_geom(type=GEOM["capsule"], size=[*part.size, 0]))
+                place(shown[-1], part.T_object_part)
+        for geom in shown:
+            geom.contype, geom.conaffinity, geom.mass, geom.material, geom.group = 0, 0, 0, material, 1
     return body
 
 

@@ -71,9 +71,7 @@ def add_ground(spec: mujoco.MjSpec, name: str, colour: tuple[int, int, int]) -> 
     rng = generator(0, f"texture/{name}", 0)
     grain = cv2.GaussianBlur(rng.normal(0, 20, (512, 512)), (0, 0), 1.5)  # faint: the belt's picture stands still
     image = np.clip(np.array(colour, dtype=float) + grain[:, :, None], 0, 255).astype(np.uint8)
-    texture = spec.add_texture(
-        name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=512, height=512, nchannel=3
-    )
+    texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=512, height=512, nchannel=3)
     texture.data = image.tobytes()
     material = spec.add_material(name=name, specular=0.0, texrepeat=[3, 3])
     material.texuniform = True

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from dgeval.geometry import Array
 from dgeval.physics import arm, hand
 
+Numbers = tuple[float, ...]
 CAMERA_FRAME = "camera_color_optical_frame"
 
 
@@ -18,7 +19,8 @@ def robot_urdf(T_hand_camera: Array) -> str:
     parts = [_link("base_link")]
     parent = "base_link"
     for k, (xyz, rpy, lower, upper, speed) in enumerate(arm.JOINTS):
-        parts += [_link(f"link_{k + 1}"), _joint(arm.JOINT_NAMES[k], parent, f"link_{k + 1}", xyz, rpy, (lower, upper, 100, speed))]
+        limits = lower, upper, 100.0, speed
+        parts += [_link(f"link_{k + 1}"), _joint(arm.JOINT_NAMES[k], parent, f"link_{k + 1}", xyz, rpy, limits)]
         parent = f"link_{k + 1}"
     boxes = "".join(
         _solid(centre, (0, 0, 0), f'<box size="{2 * half[0]} {2 * half[1]} {2 * half[2]}"/>')
@@ -71,9 +73,7 @@ def _link(name: str, solids: str = "") -> str:
     return f'<link name="{name}">{solids}</link>'
 
 
-def _joint(
-    name: str, parent: str, child: str, xyz: tuple[float, ...], rpy: tuple[float, ...], limits: tuple[float, ...], more: str = ""
-) -> str:
+def _joint(name: str, parent: str, child: str, xyz: Numbers, rpy: Numbers, limits: Numbers, more: str = "") -> str:
     lower, upper, effort, speed = limits
     return (
         f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'

@@ -49,6 +49,7 @@ class _ManifestTrial(BaseModel):
 class _Manifest(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str = ""
+    simulate: dict[str, Any] = {}  # how simulated recordings are made again; not needed to read them
     trial: list[_ManifestTrial]
 
 
@@ -306,6 +307,10 @@ def open_trial(spec: TrialSpec, config: Config) -> Trial:
     for pose in found.poses.get(GRASP_TOPIC, []):
         near = [s for s in found.scores if s[0] <= pose.t_ns + 1_000_000]
         grasps.append((pose.t_ns, RecordedGrasp(matrix_from_pose(pose.pose), near[-1][1] if near else None)))
+    for event in events:
+        said = event.fields.get("notes")
+        if event.kind == "trial_start" and isinstance(said, list):
+            notes.extend(str(note) for note in said)
     if any(f.dropped or f.zero for f in faults.values()):
         notes.append(
             "stamps: "

@@ -1,8 +1,9 @@
-"""Writing ROS 2 messages into MCAP with checksums, byte-identical from run to run. For made recordings and tests."""
+"""Writing recordings: MCAP with checksums, ROS 1 bags, ROS 2 folders; byte-identical from run to run."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -10,11 +11,14 @@ from typing import Any
 import cv2
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Rosbag1
+from rosbags.rosbag2 import Writer as Rosbag2
 from rosbags.typesys import Stores, get_typestore
 
 from dgeval.geometry import pose_from_matrix
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
+STORE_ROS1 = get_typestore(Stores.ROS1_NOETIC)
 TYPES = STORE.types
 
 
@@ -93,7 +97,12 @@ def twist_stamped(t_ns: int, frame_id: str, twist: Any) -> Any:
 def joint_state(t_ns: int, names: Sequence[str], position: Any, velocity: Any = (), effort: Any = ()) -> Any:
     values = [np.asarray(v, dtype=np.float64) for v in (position, velocity, effort)]
     return message(
-        "sensor_msgs/JointState", header=header(t_ns, ""), name=list(names), position=values[0], velocity=values[1], effort=values[2]
+        "sensor_msgs/JointState",
+        header=header(t_ns, ""),
+        name=list(names),
+        position=values[0],
+        velocity=values[1],
+        effort=values[2],
     )
 
 
@@ -141,5 +150,69 @@ class McapWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
+
+
+class BagWriter:
+    """ROS 1 bag of the same messages."""
+
+    def __init__(self, path: Path) -> None:
+        self._writer = Rosbag1(path)
+        self._writer.open()
+        self._connections: dict[str, Any] = {}
+
+    def write(self, topic: str, log_ns: int, value: Any) -> None:
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, value.__msgtype__, typestore=STORE_ROS1)
+        data = STORE_ROS1.serialize_ros1(_as_ros1(value), value.__msgtype__)
+        self._writer.write(self._connections[topic], log_ns, bytes(data))
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        self._writer.close()
+
+
+class Db3Writer:
+    """ROS 2 folder with SQLite storage."""
+
+    def __init__(self, path: Path) -> None:
+        self._writer = Rosbag2(path, version=8)
+        self._writer.open()
+        self._connections: dict[str, Any] = {}
+
+    def write(self, topic: str, log_ns: int, value: Any) -> None:
+        name: str = value.__msgtype__
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, name, typestore=STORE)
+        self._writer.write(self._connections[topic], log_ns, bytes(STORE.serialize_cdr(value, name)))
+
+    def __enter__(self) -> Db3Writer:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        self._writer.close()
+
+
+def open_writer(path: Path) -> McapWriter | BagWriter | Db3Writer:
+    """By suffix: .mcap, .bag; a ROS 2 folder without one."""
+    if path.suffix == ".bag":
+        return BagWriter(path)
+    return McapWriter(path) if path.suffix == ".mcap" else Db3Writer(path)
+
+
+def _as_ros1(value: Any) -> Any:
+    """The ROS 1 message of a ROS 2 one: names differ by case, headers have a sequence number."""
+    kind = getattr(value, "__msgtype__", None)
+    if kind is None:
+        return [_as_ros1(v) for v in value] if isinstance(value, list) else value
+    if kind == "builtin_interfaces/msg/Time":
+        return STORE_ROS1.types[kind](sec=value.sec, nanosec=value.nanosec)
+    given = {f.name.lower(): getattr(value, f.name) for f in fields(value) if not f.name.startswith("__")}
+    target: Any = STORE_ROS1.types[kind]
+    return target(**{
+        f.name: _as_ros1(given[f.name.lower()]) if f.name.lower() in given else 0
+        for f in fields(target) if not f.name.startswith("__")
+    })  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 
 Six = tuple[float, float, float, float, float, float]
 Three = tuple[float, float, float]
-NONE6: Six = (0.0,) * 6  # type: ignore[assignment]
+NONE6: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NONE3: Three = (0.0, 0.0, 0.0)
 
 

@@ -17,13 +17,13 @@ from dgeval.physics.hand import ACTUATED, FINGERS, JOINT_NAMES
 from dgeval.physics.objects import surface_points
 from dgeval.physics.urdf import CAMERA_FRAME, robot_urdf
 from dgeval.recording.write import (
-    McapWriter,
     camera_info_message,
     cloud_message,
     compressed_depth_message,
-    jpeg_message,
     joint_state,
+    jpeg_message,
     message,
+    open_writer,
     png_message,
     pose_stamped,
     text,
@@ -50,22 +50,23 @@ STAND_INS = (
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What was written: frames, bytes, and the box of the target in the first frame (x0 y0 x1 y1 px), None if not seen."""
+    """What was written: frames, and the box of the target in the first frame (x0 y0 x1 y1 px), None if not seen."""
 
     frames: int
-    size: int
     bbox: tuple[float, float, float, float] | None
 
 
 def write_recording(
-    path: Path, run: Run, truth: Truth, blame: dict[str, Any] | None, scenario: Scenario, world: World,
-    grasps: list[KnownGrasp], depth_level: int = 4,
-) -> Recorded:  # fmt: skip
-    """Render the run's frames and write everything in time order. `world` has the run's cameras."""
+    path: Path, run: Run, verdict: dict[str, Any], twin: Array, scenario: Scenario, world: World, grasps: list[KnownGrasp]
+) -> Recorded:
+    """Render the run's frames and write everything in time order. `world` has the run's cameras.
+
+    verdict: what `verdict_document` gave; twin: the undisturbed path, rows per control period.
+    """
     box: tuple[float, float, float, float] | None = None
-    with McapWriter(path) as writer:
+    with open_writer(path) as writer:
         events = _events(run, scenario)
-        states = _states(run, truth, world)
+        states = _states(run, twin, world)
         with Eyes(world, true_cameras(scenario, run.plan), depth_profile(scenario), run.plan.seed, run.plan.index) as eyes:
             writer.write("/robot_description", START_NS, text(robot_urdf(T_hand_camera)))
             by_tick = {f.tick: (i, f) for i, f in enumerate(run.frames)}
@@ -85,7 +86,7 @@ def write_recording(
                 camera = true_cameras(scenario, run.plan)[0].intrinsics
                 writer.write("/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera))
                 writer.write(COLOUR_TOPIC, t_ns, jpeg_message(t_ns, CAMERA_FRAME, colour, 85))
-                writer.write(DEPTH_TOPIC, t_ns, compressed_depth_message(t_ns, CAMERA_FRAME, depth, depth_level))
+                writer.write(DEPTH_TOPIC, t_ns, compressed_depth_message(t_ns, CAMERA_FRAME, depth, scenario.depth_level))
                 T_camera_base = invert(world.T_base_hand() @ T_hand_camera)
                 if belief.accepted and belief.T_base_object is not None:
                     writer.write("/dgeval/belief/mask", t_ns, png_message(t_ns, CAMERA_FRAME, mask.astype(np.uint8) * 255))
@@ -105,10 +106,9 @@ def write_recording(
                 for topic, value in _choice(run, k, t_ns, grasps):
                     writer.write(topic, t_ns, value)
         end = _at(len(run.ticks))
-        verdict = verdict_document(run, truth, blame, scenario)
         writer.write("/truth/verdict", end, text(json.dumps(verdict, sort_keys=True)))
         writer.write("/dgeval/events", end, text(json.dumps({"event": "trial_end"})))
-    return Recorded(len(run.frames), path.stat().st_size, box)
+    return Recorded(len(run.frames), box)
 
 
 def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scenario: Scenario) -> dict[str, Any]:
@@ -153,7 +153,7 @@ def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
     return out
 
 
-def _states(run: Run, truth: Truth, world: World) -> Iterator[tuple[int, list[tuple[str, Any]]]]:
+def _states(run: Run, twin: Array, world: World) -> Iterator[tuple[int, list[tuple[str, Any]]]]:
     """Each control period with the world put into its state: joints, command, truth."""
     names = [*ARM_JOINTS, *JOINT_NAMES]
     where = np.concatenate([world.arm, world.fingers])
@@ -171,7 +171,7 @@ def _states(run: Run, truth: Truth, world: World) -> Iterator[tuple[int, list[tu
             out.append(("/dgeval/belief/twist_command", twist_stamped(t_ns, BASE, tick.twist)))
         out.append(("/truth/object_pose", pose_stamped(t_ns, BASE, world.T_base_object())))
         if k % 10 == 0:
-            out.append(("/truth/undisturbed_pose", pose_stamped(t_ns, BASE, matrix_of(truth.twin[k, :7]))))
+            out.append(("/truth/undisturbed_pose", pose_stamped(t_ns, BASE, matrix_of(twin[k, :7]))))
         forces = world.finger_forces().round(3).tolist()
         now = {"hand_object": tick.contact, "hand_other": tick.foreign, "finger_force": dict(zip(FINGERS, forces, strict=True))}
         if tick.contact or tick.foreign or touching is not False:
@@ -191,5 +191,3 @@ def _choice(run: Run, k: int, t_ns: int, grasps: list[KnownGrasp]) -> list[tuple
         out.append(("/dgeval/belief/score", message("std_msgs/Float64", data=tick.score)))
     out.append(("/dgeval/belief/execute", message("std_msgs/Bool", data=tick.execute)))
     return out
-
-

@@ -22,7 +22,7 @@ class Eyes:
         colour = cameras[0].intrinsics
         try:
             self._renderer = mujoco.Renderer(world.model, colour.height, colour.width)
-        except Exception as error:  # noqa: BLE001  the library raises whatever its graphics backend raises
+        except Exception as error:
             what = f"images can't be drawn on this machine ({type(error).__name__}: {error})"
             raise UsageError(what, hint="on Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri") from error
         self._options = mujoco.MjvOption()

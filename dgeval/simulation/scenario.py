@@ -6,7 +6,7 @@ import difflib
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -56,7 +56,12 @@ class Scenario(_Section):
     objects: tuple[str, ...] | None = Field(None, description="default: all ten, or those of --meshes")
     speeds: tuple[float, ...] = (0.0,)
     trials: int = Field(10, ge=1)
-    max_seconds: float = Field(9.0, gt=1, description="without a close, the trial ends")
+    choose: dict[Literal["success", "imprecise_pose", "collision", "timing"], int] | None = Field(
+        None, description="how many of each kind to record, the first in order; default: all trials"
+    )
+    max_attempts: int = Field(20, ge=1, description="simulate at most this many times `trials` while choosing")
+    depth_level: int = Field(4, ge=0, le=9, description="PNG compression of depth")
+    max_seconds: float = Field(6.5, gt=1, description="without a close, the trial ends")
     camera: CameraConfig = CameraConfig()
     noise: PerceptionNoise = PerceptionNoise()
     evaluator: EvaluatorConfig = EvaluatorConfig()
@@ -66,7 +71,7 @@ class Scenario(_Section):
 
 @dataclass(frozen=True)
 class Plan:
-    """One trial as drawn: belt speed m/s along +y with sign, object's start x, y m and yaw rad, faults, jitter of the start."""
+    """One trial as drawn: belt speed m/s along +y with sign, object's start x, y m and yaw rad, the hand's start y m, faults."""
 
     id: str
     object: str
@@ -74,6 +79,7 @@ class Plan:
     x: float
     y: float
     yaw: float
+    home_y: float
     faults: Faults
     seed: int
     index: int
@@ -105,6 +111,31 @@ def load_scenario(name: str) -> Scenario:
     return scenario
 
 
+@dataclass(frozen=True)
+class MadeFrom:
+    """What a manifest's recordings were simulated from, and their SHA-256 by trial on the platform it names."""
+
+    scenario: str
+    seed: int
+    indices: tuple[int, ...]
+    platform: str
+    sha256: dict[str, str]
+
+
+def load_manifest(path: Path) -> MadeFrom | None:
+    """The `[simulate]` part of a manifest; None of a file without one (a scenario)."""
+    values = read_toml(path)
+    about = values.get("simulate")
+    if not isinstance(about, dict):
+        return None
+    try:
+        hashes = {str(t["id"]): str(t["sha256"]) for t in values.get("trial", []) if "sha256" in t}
+        name, indices = str(about["scenario"]), tuple(int(i) for i in about["indices"])
+        return MadeFrom(name, int(about["seed"]), indices, str(about["platform"]), hashes)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UsageError(f"manifest: [simulate] is not complete ({error})", Place(str(path))) from error
+
+
 def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, index: int) -> Plan:
     """Trial `index`: objects and speeds in turn (each object once at every speed), the rest drawn."""
     names = scenario.objects or tuple(things)
@@ -116,8 +147,9 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
     rng = generator(seed, f"plan/{scenario.name}", index)
     direction = 1.0 if rng.random() < 0.5 else -1.0
     yaw = float(rng.uniform(-3.14159, 3.14159))
-    x = 0.50 + float(rng.uniform(-0.03, 0.03))
+    x = 0.48 + float(rng.uniform(-0.09, 0.07))
     y = -direction * min(0.42, 0.05 + 1.9 * speed) + float(rng.uniform(-0.02, 0.02))
+    home_y = y + float(rng.uniform(-0.09, 0.09))  # the hand doesn't start right above the object
     values: dict[str, Any] = {}
     for fault in Faults.__dataclass_fields__:  # each from its own draws, so that adding one changes no other
         own = generator(seed, f"plan/{scenario.name}/{fault}", index)
@@ -125,4 +157,4 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
         if config is not None and own.random() < config.share:
             values[fault] = draw(own, fault, config.size)
     trial_id = f"{name}-{round(speed * 1000):03d}-{index:04d}"
-    return Plan(trial_id, name, direction * speed, x, y, yaw, Faults(**values), seed, index)
+    return Plan(trial_id, name, direction * speed, x, y, yaw, home_y, Faults(**values), seed, index)

@@ -100,7 +100,7 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: Sequence[Kno
     run = Run(plan)
     config = scenario.pipeline
     faults = plan.faults
-    world.start(home(world.kinematics, plan.y), OPEN, plan.x, plan.y, plan.yaw, plan.speed)
+    world.start(home(world.kinematics, plan.home_y), OPEN, plan.x, plan.y, plan.yaw, plan.speed)
     velocity_filter = VelocityFilter(config.estimation)
     servo = Servo(config.servo)
     arriving: Delayed[Usable] = Delayed(config.schedule.perception_latency_s + faults.latency)

@@ -11,10 +11,21 @@ import numpy as np
 
 from dgeval.geometry import Array, increment, rotation_angle
 from dgeval.simulation.trial import Run
-from dgeval.simulation.world import CONTROL_S, NEAR, TRUTH_STEP, Finish, Finisher, Snapshot, World, matrix_of, twin_path
+from dgeval.simulation.world import (
+    AFTER_CLOSE_S,
+    CONTROL_S,
+    NEAR,
+    TRUTH_STEP,
+    Finish,
+    Finisher,
+    Snapshot,
+    World,
+    matrix_of,
+    twin_path,
+)
 from dgeval.taxonomy import Facts, FailureClass, Needs, Outcome, Thresholds, Verdict, classify
 
-AFTER_CLOSE_S = 0.6
+SUCCESS_STEP = 3 * TRUTH_STEP  # a success has no class to prove: its curve is for looking at
 FREE_STEPS_M, FREE_STEPS_DEG = (0.0025, 0.005, 0.0075, 0.010), (5.0, 10.0)
 ERROR_STEPS_M = (0.004, 0.008, 0.012, 0.018, 0.026)
 
@@ -54,32 +65,32 @@ class Prover:
         self.world.restore(snapshot)
         return Finisher(self.world, velocity, self.run.preshape).finish()
 
-    def curve(self) -> tuple[tuple[float, bool], ...]:
-        """Success over close time: from the first distance under 8 cm to 0.6 s after the real close, every 30 ms."""
+    def curve(self, step: int) -> tuple[tuple[float, bool], ...]:
+        """Success over close time: from the first distance under 8 cm to 0.6 s after the real close, every `step` periods."""
         ticks = self.run.ticks
         near = [k for k in range(self.end + 1) if (d := ticks[k].distance) is not None and d < NEAR]
         if not near:
             return ()
         out = []
-        first = self.end - (self.end - near[0]) // TRUTH_STEP * TRUTH_STEP
-        for k in range(first, self.end + 1, TRUTH_STEP):
+        first = self.end - (self.end - near[0]) // step * step
+        for k in range(first, self.end + 1, step):
             if ticks[k].grasp is not None:
                 out.append(((k - self.end) * CONTROL_S, self.closes(ticks[k].snapshot, ticks[k].velocity).success))
         if self.run.close is not None:
             tick = ticks[self.end]
-            for offset, snapshot in self._held_open(tick.snapshot, tick.twist):
+            for offset, snapshot in self._held_open(tick.snapshot, tick.twist, step):
                 out.append((offset, self.closes(snapshot, tick.velocity).success))
         return tuple((round(offset, 3), success) for offset, success in out)
 
-    def _held_open(self, start: Snapshot, twist: Array) -> list[tuple[float, Snapshot]]:
-        """The approach gone on with at constant twist and open fingers: (offset s, state) every 30 ms after the close."""
+    def _held_open(self, start: Snapshot, twist: Array, step: int) -> list[tuple[float, Snapshot]]:
+        """The approach gone on with at constant twist and open fingers: (offset s, state) after the close."""
         w = self.world
         w.restore(start)
         out = []
         for k in range(1, round(AFTER_CLOSE_S / CONTROL_S) + 1):
             w.command(w.kinematics.joint_velocity(w.q_set, twist), self.run.preshape)
             w.advance()
-            if k % TRUTH_STEP == 0:
+            if k % step == 0:
                 out.append((k * CONTROL_S, w.save()))
         return out
 
@@ -150,8 +161,9 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
     contacts = [k for k in range(prover.end + 1) if run.ticks[k].contact]
     t_contact = contacts[0] * CONTROL_S if contacts else None
     foreign = any(t.foreign for t in run.ticks[: prover.end + 1])
-    curve = prover.curve()
-    if run.finish is not None and run.finish.success:
+    succeeded = run.finish is not None and run.finish.success
+    curve = prover.curve(SUCCESS_STEP if succeeded else TRUTH_STEP)
+    if succeeded:
         return Truth("success", None, None, None, curve, None, None, foreign, t_contact, (), prover.twin)
     metres, degrees = prover.displacement()
     displaced = [k for k in range(prover.end + 1) if metres[k] > 0.001 or degrees[k] > 1.0]

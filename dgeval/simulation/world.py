@@ -21,6 +21,7 @@ SUCCESS_HOLD_S = 1.0  # after the lift ends (SIMULATION section 5)
 FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + HOLD_S
 MIN_LIFT, MAX_FROM_HAND = 0.10, 0.15  # m: over its support; object's centre from the grasp's centre
 GRASP_CENTRE = np.array([0.05, 0.012, 0.165])  # in hand_base
+AFTER_CLOSE_S = 0.6  # close times are tried until this long after the real one
 TRUTH_STEP = 3  # control periods between the close times tried, 30 ms
 NEAR = 0.08  # m; hand to object, where the window of other close times begins
 

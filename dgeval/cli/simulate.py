@@ -1,0 +1,116 @@
+"""dgeval simulate: physics trials with ground truth, recorded like real logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from dgeval.cli.boundary import command, print_json
+
+EXAMPLES = """\b
+Examples:
+  dgeval simulate conveyor --out runs/belt --jobs 2
+  dgeval simulate static --trials 4 --meshes scans/ --seed 7
+  dgeval simulate my.toml --no-images --blame      (truth only, no recordings)
+  dgeval simulate datasets/failures.toml           (the recordings a manifest was made from)
+"""
+
+
+@command
+def simulate(
+    scenario: Annotated[str, typer.Argument(help="conveyor, static, failures, ci-smoke, a scenario FILE.toml, or a manifest.")],
+    out: Annotated[Path | None, typer.Option(help="Folder; finished trials in it are kept. Default runs/SCENARIO.")] = None,
+    trials: Annotated[int | None, typer.Option(min=1, help="Number of trials; default: the scenario's.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, other trials.")] = 0,
+    jobs: Annotated[int, typer.Option(min=1, help="Worker processes; results don't depend on it.")] = 1,
+    meshes: Annotated[Path | None, typer.Option(help="Folder of meshes (m, z up) in place of the ten objects.")] = None,
+    format_: Annotated[str, typer.Option("--format", help="mcap, bag (ROS 1) or db3 (ROS 2 folder).")] = "mcap",
+    blame: Annotated[bool, typer.Option("--blame", help="Find the injected fault whose removal restores success.")] = False,
+    images: Annotated[
+        bool, typer.Option("--images/--no-images", help="Render and write recordings, or the truth alone.")
+    ] = True,
+    json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output, nothing else.")] = False,
+) -> None:
+    """Simulate grasping trials with faults on purpose; write recordings, what is true of them, and a manifest."""
+    from dgeval.errors import UsageError
+    from dgeval.simulation.campaign import Campaign, platform_name, run_campaign
+    from dgeval.simulation.scenario import load_manifest, load_scenario
+
+    if format_ not in ("mcap", "bag", "db3"):
+        raise UsageError(f"--format {format_!r}", hint="mcap, bag or db3")
+    made_from = load_manifest(Path(scenario)) if scenario.endswith(".toml") else None
+    loaded = load_scenario(made_from.scenario if made_from else scenario)
+    folder = out or Path("runs") / loaded.name
+    campaign = Campaign(
+        loaded,
+        made_from.seed if made_from else seed,
+        trials or loaded.trials,
+        folder,
+        meshes,
+        blame,
+        tuple(made_from.indices) if made_from else None,
+        images,
+        format_,
+    )
+    with _progress() as progress:
+        pairs = run_campaign(campaign, jobs, progress)
+    wrong = []
+    if made_from is not None:
+        made = {r["id"]: r["sha256"] for _, r in pairs if r}
+        wrong = [f"{i}: not the recording the manifest names" for i, sha in made_from.sha256.items() if made.get(i, sha) != sha]
+    here = made_from is not None and made_from.platform == platform_name()
+    if json_:
+        print_json({"out": str(folder), "trials": [{**t, "recording": r} for t, r in pairs], "differences": wrong})
+        raise typer.Exit(3 if wrong and here else 0)
+    _summary(pairs, folder, loaded.name, images)
+    for line in wrong:
+        typer.echo(f"{'error' if here else 'warning (another platform)'}: {line}", err=True)
+    raise typer.Exit(3 if wrong and here else 0)
+
+
+def _summary(pairs: Any, folder: Path, name: str, images: bool) -> None:
+    kinds: dict[str, int] = {}
+    for truth, _ in pairs:
+        kind = truth["verdict"]["failure_class"] or "success"
+        kinds[kind] = kinds.get(kind, 0) + 1
+    typer.echo(f"{len(pairs)} trials: " + ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())))
+    if images:
+        size = sum(r["bytes"] for _, r in pairs if r) / 1e6
+        typer.echo(f"recordings: {folder} ({size:.0f} MB)")
+        typer.echo(f"next: dgeval replay {folder / (name + '.toml')} --out {folder}/replay")
+    else:
+        typer.echo(f"truth: {folder}/truth")
+
+
+def _progress() -> Any:
+    """A bar per phase where a person is watching, a line per trial elsewhere."""
+    from contextlib import contextmanager
+
+    @contextmanager
+    def bars() -> Any:
+        import sys
+
+        if not sys.stderr.isatty():
+
+            def line(phase: str, done: int, total: int, result: dict[str, Any]) -> None:
+                what = f": {result['verdict']['failure_class'] or 'success'}" if phase == "simulate" else ""
+                typer.echo(f"{phase} {done}/{total} {result['id']}{what}", err=True)
+
+            yield line
+            return
+        from rich.console import Console
+        from rich.progress import Progress
+
+        with Progress(console=Console(stderr=True)) as shown:
+            tasks: dict[str, Any] = {}
+
+            def step(phase: str, done: int, total: int, _: dict[str, Any]) -> None:
+                if phase not in tasks or done == 1:
+                    tasks[phase] = shown.add_task(phase, total=total)
+                shown.update(tasks[phase], completed=done)
+
+            yield step
+
+    return bars()

@@ -1,0 +1,270 @@
+"""Many trials: simulated without images first, then those wanted rendered; over processes, resumable, the same for any number.
+
+OUT/truth/<trial>.json is the commit mark of a simulated trial, OUT/recorded/<trial>.json that of its recording; the
+manifest (OUT/<scenario>.toml) names all recordings and what they were made from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from dgeval import __version__
+from dgeval.determinism import fingerprint, limit_threads, set_thread_variables
+from dgeval.physics.objects import ObjectModel, ten_objects
+from dgeval.recording.containers import sha256_of
+from dgeval.simulation.blame import blame
+from dgeval.simulation.grasps import KnownGrasp, known_grasps
+from dgeval.simulation.meshes import load_meshes
+from dgeval.simulation.perception import ModelledPerception, true_cameras
+from dgeval.simulation.record import verdict_document, write_recording
+from dgeval.simulation.scenario import Plan, Scenario, plan_trial
+from dgeval.simulation.trial import Run, run_trial
+from dgeval.simulation.truth import prove
+from dgeval.simulation.world import AFTER_CLOSE_S, CONTROL_S, World, twin_path
+
+BLOCK = 24  # trials simulated between two looks at what is still wanted; a constant, so that jobs don't matter
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What to make. `indices` None: the first `trials` of the scenario, or as many as its choice needs."""
+
+    scenario: Scenario
+    seed: int
+    trials: int
+    out: Path
+    meshes: Path | None = None
+    blame: bool = False
+    indices: tuple[int, ...] | None = None
+    images: bool = True
+    format: str = "mcap"
+
+    def key(self) -> str:
+        """What a trial's result depends on."""
+        about = [__version__, self.scenario.model_dump(mode="json"), self.seed, self.blame, str(self.meshes), fingerprint()]
+        if self.format != "mcap":
+            about.append(self.format)
+        return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+
+
+@cache
+def _things(meshes: Path | None) -> dict[str, ObjectModel]:
+    return ten_objects() if meshes is None else load_meshes(meshes)
+
+
+@cache
+def _grasps(meshes: Path | None, name: str) -> list[KnownGrasp]:
+    return known_grasps(_things(meshes)[name])
+
+
+def simulate(campaign: Campaign, plan: Plan, cameras: bool = False) -> tuple[Run, World]:
+    """One trial in closed loop, render-free."""
+    thing = _things(campaign.meshes)[plan.object]
+    world = World(thing, plan.speed, true_cameras(campaign.scenario, plan) if cameras else ())
+    run = run_trial(
+        plan,
+        campaign.scenario,
+        world,
+        _grasps(campaign.meshes, plan.object),
+        ModelledPerception(campaign.scenario, plan, world),
+    )
+    return run, world
+
+
+def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
+    """Simulate trial `index`, find out the truth about it, write its JSON; a finished one is read back."""
+    limit_threads()
+    plan = plan_trial(campaign.scenario, _things(campaign.meshes), campaign.seed, index)
+    path = campaign.out / "truth" / f"{plan.id}.json"
+    done = _finished(path, campaign.key())
+    if done is not None:
+        return done
+    seconds = {}
+    start = time.perf_counter()
+    run, world = simulate(campaign, plan)
+    seconds["physics"] = time.perf_counter() - start
+    start = time.perf_counter()
+    truth = prove(run, world)
+    seconds["truth"] = time.perf_counter() - start
+    blamed = None
+    if campaign.blame and truth.outcome == "failure":
+        start = time.perf_counter()
+        blamed = blame(plan, lambda p: _succeeds(campaign, p))
+        seconds["blame"] = time.perf_counter() - start
+    out = {
+        "id": plan.id,
+        "key": campaign.key(),
+        "index": index,
+        "verdict": verdict_document(run, truth, blamed, campaign.scenario),
+        "physics_sha256": _physics_hash(run),
+        "seconds": seconds,
+    }
+    _write(path, out)
+    return out
+
+
+def recording_name(campaign: Campaign, trial: str) -> str:
+    """File, or folder for db3, of a trial's recording."""
+    return trial if campaign.format == "db3" else f"{trial}.{campaign.format}"
+
+
+def _succeeds(campaign: Campaign, plan: Plan) -> bool:
+    finish = simulate(campaign, plan)[0].finish
+    return finish is not None and finish.success
+
+
+def record_trial(campaign: Campaign, index: int) -> dict[str, Any]:
+    """Simulate trial `index` again with cameras and write its recording, with the truth found before."""
+    limit_threads()
+    plan = plan_trial(campaign.scenario, _things(campaign.meshes), campaign.seed, index)
+    path = campaign.out / "recorded" / f"{plan.id}.json"
+    file = campaign.out / recording_name(campaign, plan.id)
+    done = _finished(path, campaign.key())
+    if done is not None and file.exists():
+        return done
+    proved = prove_trial(campaign, index)
+    start = time.perf_counter()
+    run, world = simulate(campaign, plan, cameras=True)
+    twin = twin_path(world.thing, plan.speed, plan.x, plan.y, plan.yaw, len(run.ticks) * CONTROL_S + AFTER_CLOSE_S)
+    part = campaign.out / "part" / file.name
+    if part.is_dir():
+        shutil.rmtree(part)
+    part.parent.mkdir(exist_ok=True)
+    recorded = write_recording(
+        part, run, proved["verdict"], twin, campaign.scenario, world, _grasps(campaign.meshes, plan.object)
+    )
+    if file.is_dir():
+        shutil.rmtree(file)
+    part.rename(file)
+    out = {
+        "id": plan.id,
+        "key": campaign.key(),
+        "index": index,
+        "recording": file.name,
+        "sha256": sha256_of(file),
+        "bytes": sum(p.stat().st_size for p in file.rglob("*")) if file.is_dir() else file.stat().st_size,
+        "frames": recorded.frames,
+        "bbox": recorded.bbox,
+        "seconds": time.perf_counter() - start,
+    }
+    _write(path, out)
+    return out
+
+
+def run_campaign(
+    campaign: Campaign, jobs: int, progress: Callable[[str, int, int, dict[str, Any]], None]
+) -> list[tuple[dict[str, Any], dict[str, Any] | None]]:
+    """All trials; (truth, recording) of each one wanted, by index. progress(phase, done, total, result)."""
+    for folder in ("truth", "recorded"):
+        (campaign.out / folder).mkdir(parents=True, exist_ok=True)
+    proved: list[dict[str, Any]] = []
+    quota: dict[str, int] = {}
+    if campaign.indices is None and campaign.scenario.choose is not None:
+        quota = {str(kind): n for kind, n in campaign.scenario.choose.items()}
+    if campaign.indices is not None:
+        blocks: Iterator[tuple[int, ...]] = iter([campaign.indices])
+    elif quota:
+        most = campaign.trials * campaign.scenario.max_attempts
+        blocks = (tuple(range(a, min(a + BLOCK, most))) for a in range(0, most, BLOCK))
+    else:
+        blocks = iter([tuple(range(campaign.trials))])
+    chosen: list[dict[str, Any]] = []
+    with _pool(jobs) as over:
+        for block in blocks:
+            for k, result in enumerate(over(prove_trial, campaign, block)):
+                proved.append(result)
+                kind = result["verdict"]["failure_class"] or "success"
+                if not quota or quota.get(kind, 0) > 0:
+                    chosen.append(result)
+                    if quota:
+                        quota[kind] -= 1
+                progress("simulate", k + 1, len(block), result)
+            if quota and not any(n > 0 for n in quota.values()):
+                break
+        recorded: list[dict[str, Any] | None] = [None] * len(chosen)
+        if campaign.images:
+            for k, result in enumerate(over(record_trial, campaign, tuple(c["index"] for c in chosen))):
+                recorded[k] = result
+                progress("record", k + 1, len(chosen), result)
+    pairs = list(zip(chosen, recorded, strict=True))
+    _write_manifest(campaign, pairs)
+    _write(campaign.out / "all_truths.json", {"simulated": proved})
+    return pairs
+
+
+class _pool:
+    """`over(function, campaign, indices)` gives results in the order of the indices, from this process or several."""
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Callable[..., Iterator[dict[str, Any]]]:
+        if self._jobs == 1:
+            return lambda function, campaign, indices: (function(campaign, i) for i in indices)
+        set_thread_variables()
+        self._pool = ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"))
+        pool = self._pool
+        return lambda function, campaign, indices: pool.map(function, [campaign] * len(indices), indices)
+
+    def __exit__(self, *error: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+
+def _finished(path: Path, key: str) -> dict[str, Any] | None:
+    if not path.is_file():
+        return None
+    try:
+        value: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        return None  # cut off while it was written
+    return value if value.get("key") == key else None
+
+
+def _write(path: Path, value: dict[str, Any]) -> None:
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(value, indent=1, sort_keys=True), encoding="utf-8")
+    part.rename(path)
+
+
+def _physics_hash(run: Run) -> str:
+    total = hashlib.sha256()
+    for tick in run.ticks:
+        total.update(tick.snapshot.state.tobytes())
+    return total.hexdigest()
+
+
+def platform_name() -> str:
+    """Short name of this platform fingerprint, for hashes that hold on it alone."""
+    return hashlib.sha256(json.dumps(fingerprint(), sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _write_manifest(campaign: Campaign, pairs: list[tuple[dict[str, Any], dict[str, Any] | None]]) -> None:
+    lines = [f'name = "{campaign.scenario.name}"', "", "[simulate] # what it was made from: `dgeval simulate` makes it again"]
+    lines += [f'scenario = "{campaign.scenario.name}"', f"seed = {campaign.seed}"]
+    lines += [f"indices = {[t['index'] for t, _ in pairs]}", f'platform = "{platform_name()}"', ""]
+    for truth, recording in pairs:
+        verdict = truth["verdict"]
+        lines += ["[[trial]]", f'id = "{truth["id"]}"', f'recording = "{recording_name(campaign, truth["id"])}"']
+        if recording is not None:
+            lines.append(f'sha256 = "{recording["sha256"]}"')
+            if recording["bbox"] is not None:
+                lines.append(f"bbox = {recording['bbox']}")
+        lines += [
+            f'object = "{verdict["object"]}"',
+            f'scenario = "{campaign.scenario.name}"',
+            f"speed = {abs(verdict['speed'])}",
+            "",
+        ]
+    (campaign.out / f"{campaign.scenario.name}.toml").write_text("\n".join(lines), encoding="utf-8")
