@@ -1,6 +1,6 @@
 """Objects to grasp: ten like those of the paper, procedural ones to train on, and users' meshes.
 
-Object frame: origin at the centre of the bounding box, z up as it stands on the belt. Metres, kilograms. Each object is a
+Object frame: origin at the centre of the bounding box (of a mug: of its body), z up as it stands on the belt. Metres, kilograms. Each object is a
 set of convex parts for contact and, where those would look like what they are, one mesh to be seen.
 """
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from dgeval.determinism import generator
 from dgeval.geometry import Array, transform
 from dgeval.physics.hand import place
 from dgeval.physics.texture import Look, add_material
@@ -132,11 +133,11 @@ def vessel(
         parts.append(Part("capsule", at(x, 0, 0), (r, h - r)))
         inner = (r_bottom + r_top) / 2 - wall
         across = Rotation.from_euler("y", np.pi / 2).as_matrix()
-        for z in (h, -h):
-            parts.append(Part("capsule", at((x + inner) / 2, 0, z, across), (r, (x - inner) / 2)))
+        parts += [Part("capsule", at((x + inner) / 2, 0, z, across), (r, (x - inner) / 2)) for z in (h, -h)]
     top, bottom = height / 2, -height / 2
     profile = [
-        (0, bottom), (r_bottom, bottom), (r_top, top), (r_top - wall, top), (r_bottom - wall, bottom + wall), (0, bottom + wall),
+        (0, bottom), (r_bottom, bottom), (r_top, top),
+        (r_top - wall, top), (r_bottom - wall, bottom + wall), (0, bottom + wall),
     ]  # fmt: skip
     return ObjectModel(name, mass, tuple(parts), look, mesh=revolve(profile, 36))
 
@@ -178,10 +179,16 @@ def ten_objects() -> dict[str, ObjectModel]:
 
 
 def procedural_object(index: int, seed: int = 0) -> ObjectModel:
-    """Object `index` of an endless training set: of random kind, size and mass (30 to 600 g)."""
-    from dgeval.determinism import generator
-
+    """Object `index` of an endless training set: of random kind, size and mass (30 to 600 g), none within 2 mm of the ten."""
     rng = generator(seed, "procedural", index)
+    tested = [np.sort(m.extent()) for m in ten_objects().values()]
+    while True:
+        model = _random_object(index, rng)
+        if all(np.abs(np.sort(model.extent()) - size).max() > 0.002 for size in tested):
+            return model
+
+
+def _random_object(index: int, rng: np.random.Generator) -> ObjectModel:
     kind = ("box", "cylinder", "ellipsoid", "capsule", "frustum", "prism", "bottle", "cup", "mug")[index % 9]
     name, mass = f"{kind}_{index:03d}", float(rng.uniform(0.03, 0.6))
     styles: tuple[Literal["print", "mottled", "tiles"], ...] = ("print", "mottled", "tiles")
@@ -251,16 +258,25 @@ def surface_points(model: ObjectModel, n: int, rng: np.random.Generator) -> Arra
     """Points (n, 3) m on what is seen of the object, uniform by area, object frame."""
     import trimesh
 
-    if model.mesh is not None:
-        mesh = trimesh.Trimesh(*model.mesh, process=False)
-    else:
-        mesh = trimesh.util.concatenate([_part_mesh(p) for p in model.parts])
+    solids = [_part_mesh(p) for p in model.parts if model.mesh is None or p.kind == "capsule"]
+    walls = [] if model.mesh is None else [trimesh.Trimesh(*model.mesh, process=False)]
+    mesh = trimesh.util.concatenate([*solids, *walls])
     areas = np.cumsum(mesh.area_faces)
-    triangles = mesh.triangles[np.searchsorted(areas, rng.random(n) * areas[-1])]
-    u, v = rng.random((2, n, 1))
-    flip = u + v > 1
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    return np.asarray(triangles[:, 0] + u * (triangles[:, 1] - triangles[:, 0]) + v * (triangles[:, 2] - triangles[:, 0]))
+    found: list[Array] = []
+    while sum(map(len, found)) < n:
+        k = np.searchsorted(areas, rng.random(n) * areas[-1])
+        u, v = rng.random((2, n, 1))
+        flip = u + v > 1
+        u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+        t = mesh.triangles[k]
+        points = t[:, 0] + u * (t[:, 1] - t[:, 0]) + v * (t[:, 2] - t[:, 0])
+        outside = points + 1e-5 * mesh.face_normals[k]  # a step off the surface: within another part, nobody sees it
+        hidden = np.zeros(n, bool)
+        for solid in solids if len(solids) > 1 or walls else []:
+            reach = (solid.face_normals * solid.triangles[:, 0]).sum(axis=1)
+            hidden |= (outside @ solid.face_normals.T <= reach).all(axis=1)
+        found.append(points[~hidden])
+    return np.concatenate(found)[:n]
 
 
 def _part_mesh(part: Part):  # type: ignore[no-untyped-def]

@@ -60,7 +60,12 @@ def transform_message(t_ns: int, parent: str, child: str, pose: Any) -> Any:
 
 def jpeg_message(t_ns: int, frame_id: str, rgb: Any, quality: int = 85) -> Any:
     """(H, W, 3) uint8 RGB as image_transport's compressed JPEG."""
-    data = cv2.imencode(".jpg", rgb[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return jpeg_file_message(t_ns, frame_id, cv2.imencode(".jpg", rgb[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
+
+
+def jpeg_file_message(t_ns: int, frame_id: str, file: Any) -> Any:
+    """An encoded JPEG, bytes or uint8 array."""
+    data = np.frombuffer(file, np.uint8)
     return message("sensor_msgs/CompressedImage", header=header(t_ns, frame_id), format="rgb8; jpeg compressed bgr8", data=data)
 
 
@@ -121,8 +126,8 @@ def cloud_message(t_ns: int, frame_id: str, points: Any) -> Any:
     fields = [message("sensor_msgs/PointField", name=n, offset=4 * i, datatype=7, count=1) for i, n in enumerate("xyz")]
     data = np.ascontiguousarray(points, dtype="<f4").view(np.uint8).ravel()
     return message(
-        "sensor_msgs/PointCloud2", header=header(t_ns, frame_id), height=1, width=len(points), fields=fields, is_bigendian=False,
-        point_step=12, row_step=12 * len(points), data=data, is_dense=True,
+        "sensor_msgs/PointCloud2", header=header(t_ns, frame_id), height=1, width=len(points), fields=fields,
+        is_bigendian=False, point_step=12, row_step=12 * len(points), data=data, is_dense=True,
     )  # fmt: skip
 
 

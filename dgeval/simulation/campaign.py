@@ -13,6 +13,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -25,9 +26,11 @@ from dgeval.recording.containers import sha256_of
 from dgeval.simulation.blame import blame
 from dgeval.simulation.grasps import KnownGrasp, known_grasps
 from dgeval.simulation.meshes import load_meshes
-from dgeval.simulation.perception import ModelledPerception, true_cameras
+from dgeval.simulation.perception import ModelledPerception, depth_profile, true_cameras
 from dgeval.simulation.record import verdict_document, write_recording
+from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Plan, Scenario, plan_trial
+from dgeval.simulation.seeing import Images, RenderedPerception
 from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import prove
 from dgeval.simulation.world import AFTER_CLOSE_S, CONTROL_S, World, twin_path
@@ -67,18 +70,27 @@ def _grasps(meshes: Path | None, name: str) -> list[KnownGrasp]:
     return known_grasps(_things(meshes)[name])
 
 
-def simulate(campaign: Campaign, plan: Plan, cameras: bool = False) -> tuple[Run, World]:
-    """One trial in closed loop, render-free."""
-    thing = _things(campaign.meshes)[plan.object]
-    world = World(thing, plan.speed, true_cameras(campaign.scenario, plan) if cameras else ())
-    run = run_trial(
-        plan,
-        campaign.scenario,
-        world,
-        _grasps(campaign.meshes, plan.object),
-        ModelledPerception(campaign.scenario, plan, world),
-    )
-    return run, world
+def simulate(campaign: Campaign, plan: Plan) -> tuple[Run, World]:
+    """One trial in closed loop on modelled perception, without images."""
+    world = World(_things(campaign.meshes)[plan.object], plan.speed)
+    perceiver = ModelledPerception(campaign.scenario, plan, world)
+    return run_trial(plan, campaign.scenario, world, _grasps(campaign.meshes, plan.object), perceiver), world
+
+
+@contextmanager
+def with_images(campaign: Campaign, plan: Plan) -> Iterator[tuple[Run, World, Eyes, dict[int, Images]]]:
+    """One trial in closed loop in a world with cameras; the images kept are those that perception drew in the loop."""
+    scenario = campaign.scenario
+    cameras = true_cameras(scenario, plan)
+    world = World(_things(campaign.meshes)[plan.object], plan.speed, cameras)
+    with Eyes(world, cameras, depth_profile(scenario), plan.seed, plan.index) as eyes:
+        perceiver: ModelledPerception | RenderedPerception = ModelledPerception(scenario, plan, world)
+        kept: dict[int, Images] = {}
+        if scenario.perception == "rendered":
+            perceiver = RenderedPerception(scenario, plan, eyes)
+            kept = perceiver.kept
+        run = run_trial(plan, scenario, world, _grasps(campaign.meshes, plan.object), perceiver)
+        yield run, world, eyes, kept
 
 
 def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
@@ -89,10 +101,22 @@ def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
     done = _finished(path, campaign.key())
     if done is not None:
         return done
-    seconds = {}
     start = time.perf_counter()
-    run, world = simulate(campaign, plan)
-    seconds["physics"] = time.perf_counter() - start
+    if campaign.scenario.perception == "rendered":
+        with with_images(campaign, plan) as (run, world, eyes, kept):
+            physics = time.perf_counter() - start
+            out = _prove(campaign, plan, run, world, physics)
+            if campaign.images:
+                _record(campaign, plan, run, world, out["verdict"], eyes, kept)
+    else:
+        run, world = simulate(campaign, plan)
+        out = _prove(campaign, plan, run, world, time.perf_counter() - start)
+    _write(path, out)
+    return out
+
+
+def _prove(campaign: Campaign, plan: Plan, run: Run, world: World, physics: float) -> dict[str, Any]:
+    seconds = {"physics": physics}
     start = time.perf_counter()
     truth = prove(run, world)
     seconds["truth"] = time.perf_counter() - start
@@ -101,16 +125,14 @@ def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
         start = time.perf_counter()
         blamed = blame(plan, lambda p: _succeeds(campaign, p))
         seconds["blame"] = time.perf_counter() - start
-    out = {
+    return {
         "id": plan.id,
         "key": campaign.key(),
-        "index": index,
+        "index": plan.index,
         "verdict": verdict_document(run, truth, blamed, campaign.scenario),
         "physics_sha256": _physics_hash(run),
         "seconds": seconds,
     }
-    _write(path, out)
-    return out
 
 
 def recording_name(campaign: Campaign, trial: str) -> str:
@@ -133,23 +155,33 @@ def record_trial(campaign: Campaign, index: int) -> dict[str, Any]:
     if done is not None and file.exists():
         return done
     proved = prove_trial(campaign, index)
+    if campaign.scenario.perception == "rendered":
+        done = _finished(path, campaign.key())
+        if done is not None and file.exists():
+            return done
+    with with_images(campaign, plan) as (run, world, eyes, kept):
+        return _record(campaign, plan, run, world, proved["verdict"], eyes, kept)
+
+
+def _record(
+    campaign: Campaign, plan: Plan, run: Run, world: World, verdict: dict[str, Any], eyes: Eyes, kept: dict[int, Images]
+) -> dict[str, Any]:
     start = time.perf_counter()
-    run, world = simulate(campaign, plan, cameras=True)
     twin = twin_path(world.thing, plan.speed, plan.x, plan.y, plan.yaw, len(run.ticks) * CONTROL_S + AFTER_CLOSE_S)
+    file = campaign.out / recording_name(campaign, plan.id)
     part = campaign.out / "part" / file.name
     if part.is_dir():
         shutil.rmtree(part)
     part.parent.mkdir(exist_ok=True)
-    recorded = write_recording(
-        part, run, proved["verdict"], twin, campaign.scenario, world, _grasps(campaign.meshes, plan.object)
-    )
+    grasps = _grasps(campaign.meshes, plan.object)
+    recorded = write_recording(part, run, verdict, twin, campaign.scenario, world, grasps, eyes, kept)
     if file.is_dir():
         shutil.rmtree(file)
     part.rename(file)
     out = {
         "id": plan.id,
         "key": campaign.key(),
-        "index": index,
+        "index": plan.index,
         "recording": file.name,
         "sha256": sha256_of(file),
         "bytes": sum(p.stat().st_size for p in file.rglob("*")) if file.is_dir() else file.stat().st_size,
@@ -157,7 +189,7 @@ def record_trial(campaign: Campaign, index: int) -> dict[str, Any]:
         "bbox": recorded.bbox,
         "seconds": time.perf_counter() - start,
     }
-    _write(path, out)
+    _write(campaign.out / "recorded" / f"{plan.id}.json", out)
     return out
 
 

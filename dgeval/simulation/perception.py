@@ -21,7 +21,7 @@ _TILT = Rotation.from_euler("x", -12, degrees=True).as_matrix()
 T_hand_camera = np.eye(4)
 T_hand_camera[:3, :3] = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ _TILT
 T_hand_camera[:3, 3] = (0.115, -0.045, -0.06)
-MIN_SHARE = 0.35  # of the object's surface points inside the image and beyond the least range
+MIN_SHARE = 0.35  # of the surface points on the object's near side inside the image and beyond the least range
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Sight:
 class Perceiver(Protocol):
     """Looks at the world through the wrist camera at a frame; T_base_hand is what the joints say."""
 
-    def see(self, frame: int, world: World) -> Sight: ...
+    def see(self, frame: int, t_ns: int, world: World) -> Sight: ...
 
 
 def depth_profile(scenario: Scenario) -> DepthProfile:
@@ -76,15 +76,15 @@ class ModelledPerception:
         self._points = surface_points(world.thing, 200, generator(0, f"points/{world.thing.name}", 0))
         self._bias = increment(np.array(plan.faults.registration_bias))
 
-    def see(self, frame: int, world: World) -> Sight:
+    def see(self, frame: int, t_ns: int, world: World) -> Sight:  # noqa: ARG002  the protocol's
         T_base_hand = world.T_base_hand()
         T_camera_object = invert(T_base_hand @ self._camera.T_hand_camera) @ world.T_base_object()
         seen = transform(T_camera_object, self._points)
         k = self._camera.intrinsics
         pixels = k.project(np.column_stack([seen[:, :2], np.maximum(seen[:, 2], 1e-3)]))
         inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < k.width) & (pixels[:, 1] < k.height)
-        # the near side is what the camera sees: at least a third of the surface has to be far enough
-        if (inside & (seen[:, 2] > self._min_range)).mean() < MIN_SHARE:
+        near_side = seen[:, 2] <= np.median(seen[:, 2])  # what the camera sees of it
+        if (inside & (seen[:, 2] > self._min_range))[near_side].mean() < MIN_SHARE:
             return Sight(None)
         rng = generator(self._plan.seed, f"perception/{self._plan.index}", frame)
         noise = np.concatenate([rng.normal(0, self._noise.position, 3), np.radians(rng.normal(0, self._noise.angle, 3))])

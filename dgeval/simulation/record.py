@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dgeval.determinism import generator
-from dgeval.geometry import Array, invert
+from dgeval.geometry import Array, invert, transform
 from dgeval.physics.arm import JOINT_NAMES as ARM_JOINTS
 from dgeval.physics.hand import ACTUATED, FINGERS, JOINT_NAMES
 from dgeval.physics.objects import surface_points
@@ -21,7 +21,7 @@ from dgeval.recording.write import (
     cloud_message,
     compressed_depth_message,
     joint_state,
-    jpeg_message,
+    jpeg_file_message,
     message,
     open_writer,
     png_message,
@@ -30,10 +30,11 @@ from dgeval.recording.write import (
     twist_stamped,
 )
 from dgeval.simulation.grasps import KnownGrasp
-from dgeval.simulation.perception import T_hand_camera, depth_profile, true_cameras
+from dgeval.simulation.perception import T_hand_camera
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Scenario
-from dgeval.simulation.trial import Run
+from dgeval.simulation.seeing import Images, encode
+from dgeval.simulation.trial import FrameBelief, Run
 from dgeval.simulation.truth import Truth
 from dgeval.simulation.world import CLOSE_S, CONTROL_S, SETTLE_S, World, matrix_of
 
@@ -42,10 +43,9 @@ BASE = "base_link"
 JOINT_NOISE, SPEED_NOISE, EFFORT_NOISE = 1e-4, 2e-3, 0.02  # rad, rad/s, Nm; 1 sigma
 DEPTH_TOPIC = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
 COLOUR_TOPIC = "/camera/color/image_raw/compressed"
-STAND_INS = (
-    "simulated: tracking and registration in the loop are modelled (truth with drawn errors), not TransT-M and ICP",
-    "simulated: grasps from an analytic sampler checked in physics and an analytic score stand in for FFHNet",
-)
+MODELLED = "simulated: tracking and registration in the loop are modelled (truth with drawn errors), not TransT-M and ICP"
+RENDERED = "simulated: the model tracker stands in for TransT-M in the loop; registration, fusion and estimation ran on images"
+STAND_INS = ("simulated: grasps from an analytic sampler checked in physics and an analytic score stand in for FFHNet",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,58 +57,66 @@ class Recorded:
 
 
 def write_recording(
-    path: Path, run: Run, verdict: dict[str, Any], twin: Array, scenario: Scenario, world: World, grasps: list[KnownGrasp]
-) -> Recorded:
-    """Render the run's frames and write everything in time order. `world` has the run's cameras.
+    path: Path, run: Run, verdict: dict[str, Any], twin: Array, scenario: Scenario, world: World, grasps: list[KnownGrasp],
+    eyes: Eyes, kept: dict[int, Images],
+) -> Recorded:  # fmt: skip
+    """Write everything in time order. `world` and `eyes` have the run's cameras.
 
-    verdict: what `verdict_document` gave; twin: the undisturbed path, rows per control period.
+    kept: images drawn in the loop, by frame; the others are drawn now. verdict: what `verdict_document` gave; twin: the
+    undisturbed path, rows per control period.
     """
     box: tuple[float, float, float, float] | None = None
+    camera = eyes.cameras[0].intrinsics
+    by_tick = {f.tick: f for f in run.frames}
+    first: Array | None = None
     with open_writer(path) as writer:
+        writer.write("/robot_description", START_NS, text(robot_urdf(T_hand_camera)))
         events = _events(run, scenario)
-        states = _states(run, twin, world)
-        with Eyes(world, true_cameras(scenario, run.plan), depth_profile(scenario), run.plan.seed, run.plan.index) as eyes:
-            writer.write("/robot_description", START_NS, text(robot_urdf(T_hand_camera)))
-            by_tick = {f.tick: (i, f) for i, f in enumerate(run.frames)}
-            first_model: Array | None = None
-            for k, entries in states:
-                t_ns = _at(k)
-                for topic, value in [*events.pop(k, []), *entries]:
-                    writer.write(topic, t_ns, value)
-                if k not in by_tick:
-                    continue
-                index, belief = by_tick[k]
-                colour, depth = eyes.look(index)
-                mask = eyes.mask()
-                if index == 0 and mask.any():
-                    v, u = np.nonzero(mask)
+        for k, entries in _states(run, twin, world):
+            t_ns = _at(k)
+            for topic, value in [*events.pop(k, []), *entries]:
+                writer.write(topic, t_ns, value)
+            belief = by_tick.get(k)
+            if belief is None:
+                continue
+            if box is None and belief.index == run.frames[0].index:
+                v, u = np.nonzero(eyes.mask())
+                if len(v):
                     box = float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)
-                camera = true_cameras(scenario, run.plan)[0].intrinsics
-                writer.write("/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera))
-                writer.write(COLOUR_TOPIC, t_ns, jpeg_message(t_ns, CAMERA_FRAME, colour, 85))
-                writer.write(DEPTH_TOPIC, t_ns, compressed_depth_message(t_ns, CAMERA_FRAME, depth, scenario.depth_level))
-                T_camera_base = invert(world.T_base_hand() @ T_hand_camera)
-                if belief.accepted and belief.T_base_object is not None:
-                    writer.write("/dgeval/belief/mask", t_ns, png_message(t_ns, CAMERA_FRAME, mask.astype(np.uint8) * 255))
-                if belief.T_base_object is not None:
-                    T_camera_object = T_camera_base @ belief.T_base_object
-                    if first_model is None:
-                        # the model frame is the camera of the first accepted frame, carried with the object
-                        first_model = T_camera_object
-                        points = surface_points(world.thing, 500, generator(run.plan.seed, "model", run.plan.index))
-                        cloud = points @ first_model[:3, :3].T + first_model[:3, 3]
-                        writer.write("/dgeval/belief/model", t_ns, cloud_message(t_ns, CAMERA_FRAME, cloud))
-                    pose = pose_stamped(t_ns, CAMERA_FRAME, T_camera_object @ invert(first_model))
-                    writer.write("/dgeval/belief/target_pose", t_ns, pose)
-                if belief.velocity is not None:
-                    twist = np.concatenate([belief.velocity, np.zeros(3)])
-                    writer.write("/dgeval/belief/velocity", t_ns, twist_stamped(t_ns, BASE, twist))
-                for topic, value in _choice(run, k, t_ns, grasps):
-                    writer.write(topic, t_ns, value)
+            images = kept[belief.index] if belief.index in kept else _draw(eyes, belief)
+            writer.write("/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera))
+            writer.write(COLOUR_TOPIC, t_ns, jpeg_file_message(t_ns, CAMERA_FRAME, images.jpeg))
+            depth = compressed_depth_message(t_ns, CAMERA_FRAME, images.depth, scenario.depth_level)
+            writer.write(DEPTH_TOPIC, t_ns, depth)
+            if images.mask is not None:
+                writer.write("/dgeval/belief/mask", t_ns, png_message(t_ns, CAMERA_FRAME, images.mask.astype(np.uint8) * 255))
+            T_camera_model, cloud = images.T_camera_model, images.model
+            if not kept and belief.T_base_object is not None:
+                T_camera_object = invert(world.T_base_hand() @ T_hand_camera) @ belief.T_base_object
+                if first is None:
+                    # the model frame is the camera of the first accepted frame, carried with the object
+                    first = T_camera_object
+                    points = surface_points(world.thing, 500, generator(run.plan.seed, "model", run.plan.index))
+                    cloud = transform(first, points)
+                T_camera_model = T_camera_object @ invert(first)
+            if T_camera_model is not None:
+                writer.write("/dgeval/belief/target_pose", t_ns, pose_stamped(t_ns, CAMERA_FRAME, T_camera_model))
+            if cloud is not None:
+                writer.write("/dgeval/belief/model", t_ns, cloud_message(t_ns, CAMERA_FRAME, cloud))
+            if belief.velocity is not None:
+                twist = np.concatenate([belief.velocity, np.zeros(3)])
+                writer.write("/dgeval/belief/velocity", t_ns, twist_stamped(t_ns, BASE, twist))
+            for topic, value in _choice(run, k, t_ns, grasps):
+                writer.write(topic, t_ns, value)
         end = _at(len(run.ticks))
         writer.write("/truth/verdict", end, text(json.dumps(verdict, sort_keys=True)))
         writer.write("/dgeval/events", end, text(json.dumps({"event": "trial_end"})))
     return Recorded(len(run.frames), box)
+
+
+def _draw(eyes: Eyes, belief: FrameBelief) -> Images:
+    colour, depth = eyes.look(belief.index)
+    return Images(encode(colour), depth, eyes.mask() if belief.accepted else None)
 
 
 def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scenario: Scenario) -> dict[str, Any]:
@@ -144,7 +152,11 @@ def _at(tick: int) -> int:
 
 
 def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
-    start = {"event": "trial_start", "notes": [*STAND_INS, f"simulated: servo gains {scenario.pipeline.servo.gains}"]}
+    perception = MODELLED if scenario.perception == "modelled" else RENDERED
+    start = {
+        "event": "trial_start",
+        "notes": [perception, *STAND_INS, f"simulated: servo gains {scenario.pipeline.servo.gains}"],
+    }
     out = {0: [("/dgeval/events", text(json.dumps(start)))]}
     if run.close is not None:
         lift = run.close + round((CLOSE_S + SETTLE_S) / CONTROL_S)

@@ -27,7 +27,7 @@ class Eyes:
             raise UsageError(what, hint="on Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri") from error
         self._options = mujoco.MjvOption()
         self._options.geomgroup[:] = [1, 1, 1, 0, 0, 0]
-        self._world, self._cameras, self._profile = world, cameras, profile
+        self._world, self.cameras, self.profile = world, cameras, profile
         self._seed, self._index = seed, index
 
     def __enter__(self) -> Eyes:
@@ -43,10 +43,10 @@ class Eyes:
         colour = self._renderer.render().copy()
         exact = self.exact_depth("depth")
         measured = measure_depth(
-            exact, self._cameras[1].intrinsics, self._profile, generator(self._seed, f"depth/{self._index}", frame)
+            exact, self.cameras[1].intrinsics, self.profile, generator(self._seed, f"depth/{self._index}", frame)
         )
-        camera, depth_camera = self._cameras[0].intrinsics, self._cameras[1].intrinsics
-        aligned = align_to_colour(measured, depth_camera, camera, colour_from_depth(self._profile), self._profile.depth_unit)
+        camera, depth_camera = self.cameras[0].intrinsics, self.cameras[1].intrinsics
+        aligned = align_to_colour(measured, depth_camera, camera, colour_from_depth(self.profile), self.profile.depth_unit)
         noise = generator(self._seed, f"colour/{self._index}", frame).integers(-3, 4, colour.shape, dtype=np.int8)
         return np.clip(colour.astype(np.int16) + noise, 0, 255).astype(np.uint8), aligned
 

@@ -61,6 +61,9 @@ class Scenario(_Section):
     )
     max_attempts: int = Field(20, ge=1, description="simulate at most this many times `trials` while choosing")
     depth_level: int = Field(4, ge=0, le=9, description="PNG compression of depth")
+    perception: Literal["modelled", "rendered"] = Field(
+        "modelled", description="in the loop: truth with errors, or the pipeline's own stages on rendered images"
+    )
     max_seconds: float = Field(6.5, gt=1, description="without a close, the trial ends")
     camera: CameraConfig = CameraConfig()
     noise: PerceptionNoise = PerceptionNoise()
@@ -71,7 +74,7 @@ class Scenario(_Section):
 
 @dataclass(frozen=True)
 class Plan:
-    """One trial as drawn: belt speed m/s along +y with sign, object's start x, y m and yaw rad, the hand's start y m, faults."""
+    """One trial as drawn: belt speed m/s along +y with sign, start x, y m and yaw rad of the object, y of the hand."""
 
     id: str
     object: str

@@ -60,8 +60,12 @@ class Tick:
 
 @dataclass(frozen=True)
 class FrameBelief:
-    """A camera frame: its control period, whether the registration was accepted, the pose then believed, the filter's word."""
+    """A camera frame: its number (dropped ones count), control period, whether its registration was accepted.
 
+    T_base_object: believed then, predicted where not accepted; velocity: the filter's word, m/s.
+    """
+
+    index: int
     tick: int
     accepted: bool
     T_base_object: Array | None
@@ -118,14 +122,14 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: Sequence[Kno
             if generator(plan.seed, f"drop/{plan.index}", n_frame).random() < scenario.camera.drop:
                 run.dropped.append(tick)
             else:
-                sight = perceiver.see(n_frame, world).T_base_object
+                sight = perceiver.see(n_frame, t_ns, world).T_base_object
                 estimate = velocity_filter.step(t_ns, None if sight is None else sight[:3, 3])
                 velocity = None if estimate is None else estimate.velocity + np.array(faults.velocity_bias)
                 T = sight
                 if T is None and run.frames and run.frames[-1].T_base_object is not None and velocity is not None:
                     T = run.frames[-1].T_base_object.copy()
                     T[:3, 3] += velocity * (tick - run.frames[-1].tick) * CONTROL_S
-                run.frames.append(FrameBelief(tick, sight is not None, T, velocity))
+                run.frames.append(FrameBelief(n_frame, tick, sight is not None, T, velocity))
                 if T is not None and velocity is not None:
                     arriving.step(t_ns, Usable(tick * CONTROL_S, T, velocity))
             n_frame += 1

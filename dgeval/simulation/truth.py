@@ -25,7 +25,7 @@ from dgeval.simulation.world import (
 )
 from dgeval.taxonomy import Facts, FailureClass, Needs, Outcome, Thresholds, Verdict, classify
 
-SUCCESS_STEP = 3 * TRUTH_STEP  # a success has no class to prove: its curve is for looking at
+COARSE = 3  # times the tick, far from the real close
 FREE_STEPS_M, FREE_STEPS_DEG = (0.0025, 0.005, 0.0075, 0.010), (5.0, 10.0)
 ERROR_STEPS_M = (0.004, 0.008, 0.012, 0.018, 0.026)
 
@@ -65,22 +65,35 @@ class Prover:
         self.world.restore(snapshot)
         return Finisher(self.world, velocity, self.run.preshape).finish()
 
-    def curve(self, step: int) -> tuple[tuple[float, bool], ...]:
-        """Success over close time: from the first distance under 8 cm to 0.6 s after the real close, every `step` periods."""
+    def curve(self) -> tuple[tuple[float, bool], ...]:
+        """Success over close time: from the first distance under 8 cm to 0.6 s after the real close.
+
+        Every 30 ms within 0.6 s of the real close. Earlier (and in a success) every 90 ms, and where one of these succeeds
+        alone, its neighbours at 30 ms.
+        """
         ticks = self.run.ticks
         near = [k for k in range(self.end + 1) if (d := ticks[k].distance) is not None and d < NEAR]
         if not near:
             return ()
-        out = []
-        first = self.end - (self.end - near[0]) // step * step
-        for k in range(first, self.end + 1, step):
-            if ticks[k].grasp is not None:
-                out.append(((k - self.end) * CONTROL_S, self.closes(ticks[k].snapshot, ticks[k].velocity).success))
+        coarse = COARSE * TRUTH_STEP
+        succeeded = self.run.finish is not None and self.run.finish.success
+        fine_from = self.end - (0 if succeeded else round(AFTER_CLOSE_S / CONTROL_S))
+        first = self.end - (self.end - near[0]) // coarse * coarse
+        wanted = [k for k in range(first, self.end + 1, TRUTH_STEP) if k >= fine_from or (k - first) % coarse == 0]
+        tried = {k: self._closes_at(k) for k in wanted}
+        for k in [k for k in wanted if tried[k] and k < fine_from]:
+            if not tried.get(k - coarse) and not tried.get(k + coarse):
+                tried.update({n: self._closes_at(n) for n in (k - TRUTH_STEP, k + TRUTH_STEP) if n not in tried})
+        out = [((k - self.end) * CONTROL_S, tried[k]) for k in sorted(tried)]
         if self.run.close is not None:
             tick = ticks[self.end]
-            for offset, snapshot in self._held_open(tick.snapshot, tick.twist, step):
+            for offset, snapshot in self._held_open(tick.snapshot, tick.twist, coarse if succeeded else TRUTH_STEP):
                 out.append((offset, self.closes(snapshot, tick.velocity).success))
         return tuple((round(offset, 3), success) for offset, success in out)
+
+    def _closes_at(self, k: int) -> bool:
+        tick = self.run.ticks[k]
+        return tick.grasp is not None and self.closes(tick.snapshot, tick.velocity).success
 
     def _held_open(self, start: Snapshot, twist: Array, step: int) -> list[tuple[float, Snapshot]]:
         """The approach gone on with at constant twist and open fingers: (offset s, state) after the close."""
@@ -162,7 +175,7 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
     t_contact = contacts[0] * CONTROL_S if contacts else None
     foreign = any(t.foreign for t in run.ticks[: prover.end + 1])
     succeeded = run.finish is not None and run.finish.success
-    curve = prover.curve(SUCCESS_STEP if succeeded else TRUTH_STEP)
+    curve = prover.curve()
     if succeeded:
         return Truth("success", None, None, None, curve, None, None, foreign, t_contact, (), prover.twin)
     metres, degrees = prover.displacement()

@@ -1,0 +1,189 @@
+"""Tracking, observation, registration, fusion and estimation of one frame: the perception that replay and simulator share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dgeval.config import Config
+from dgeval.determinism import generator
+from dgeval.geometry import Array, invert, orthonormalise, pose_from_matrix, transform
+from dgeval.recording.frame import Frame
+from dgeval.stages.estimation import Estimate, VelocityFilter
+from dgeval.stages.fusion import Fusion
+from dgeval.stages.observation import observe
+from dgeval.stages.registration import gate, register
+from dgeval.stages.tracking_csrt import CsrtTracker
+from dgeval.stages.tracking_model import ModelTracker, TrackingInput
+from dgeval.stages.types import Model, Observation, Registration, Tracked
+
+TRACKERS: dict[str, type[ModelTracker] | type[CsrtTracker]] = {"model": ModelTracker, "csrt": CsrtTracker}
+POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Perceived:
+    """What one frame gave: its columns, the image tracker's word, the model, T_camera_model (predicted where not accepted)."""
+
+    row: dict[str, Any]
+    tracked: Tracked
+    model: Model | None
+    T_camera_model: Array | None
+    estimate: Estimate | None
+    accepted: bool
+
+
+@dataclass
+class Perception:
+    """The state that tracking, registration, fusion and estimation share: where the model is, and since when."""
+
+    config: Config
+    fusion: Fusion = field(init=False)
+    velocity: VelocityFilter = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.tracker = TRACKERS[self.config.tracking.method](self.config)
+        self.fusion = Fusion(self.config.fusion)
+        self.velocity = VelocityFilter(self.config.estimation)
+        self.T_camera_model: Array | None = None
+        self.T_prior: Array | None = None
+        self.T_accepted: Array | None = None
+        self.accepted_ns = 0
+        self.feature: Array | None = None
+        self.T_base_camera: Array | None = None
+        self.accepted = False
+
+    def predict(self, frame: Frame, T_base_camera: Array | None) -> Array | None:
+        """T_camera_model at this frame before looking: carried by camera and velocity, without rotation of its own."""
+        if self.T_prior is None:
+            return None
+        if T_base_camera is None or self.T_base_camera is None:
+            return self.T_prior
+        T_base_model = self.T_base_camera @ self.T_prior
+        T_base_model[:3, 3] += self.velocity.ahead(frame.t_ns)
+        return orthonormalise(invert(T_base_camera) @ T_base_model)
+
+    def step(self, frame: Frame, T_base_camera: Array | None, box: Box | None, lap: Callable[[str], None]) -> Perceived:
+        """One frame. `box` starts the target; lap(stage) is called when a stage is done."""
+        config = self.config
+        predicted = self.predict(frame, T_base_camera)
+        tracked = self.tracker.step(TrackingInput(frame, box, self.fusion.model, predicted, self.T_camera_model, self.accepted))
+        lap("tracking")
+        row: dict[str, Any] = {"frame": frame.index, "t_ns": frame.t_ns, "tracking": tracked.state}
+        if tracked.box is not None:
+            row.update(zip(("box_x0", "box_y0", "box_x1", "box_y1"), tracked.box, strict=True))
+            row["mask_area"] = tracked.mask_area
+        if tracked.features is not None:
+            row["n_features"] = len(tracked.features.points)
+        wanted = config.observation
+        if self.fusion.model is None:
+            # the first observation is the whole model: thin on a large target, it would fail the gate's 5 mm for ever
+            wanted = wanted.model_copy(update={"max_points": max(wanted.max_points, config.fusion.max_model_points)})
+        observation = observe(frame, tracked, generator(config.seed, "observation", frame.index), wanted)
+        lap("observation")
+        registration = _register(self, frame, tracked, observation, predicted, config)
+        lap("registration")
+        _fuse(self, frame, tracked, observation, registration, predicted, row, config)
+        lap("fusion")
+        estimate = _estimate(self, frame, T_base_camera, row)
+        lap("estimation")
+        self.T_base_camera = T_base_camera
+        return Perceived(row, tracked, self.fusion.model, self.T_camera_model, estimate, self.accepted)
+
+
+def _register(
+    state: Perception,
+    frame: Frame,
+    tracked: Tracked,
+    observation: Observation | None,
+    predicted: Array | None,
+    config: Config,
+) -> Registration | None:
+    """None where nothing can be registered: no model yet, target lost, too few points."""
+    if state.fusion.model is None or observation is None or tracked.state != "tracked" or predicted is None:
+        return None
+    start = tracked.T_camera_model if tracked.T_camera_model is not None else predicted
+    result = register(observation, state.fusion.model, start, tracked.features, frame.camera, config.registration)
+    assert state.T_accepted is not None
+    seconds = (frame.t_ns - state.accepted_ns) * 1e-9
+    reason = gate(result, state.T_accepted, state.fusion.model.points.mean(axis=0), seconds, config.registration)
+    return Registration(result.T_camera_model, result.fitness, result.gate_fitness, result.rmse, reason)
+
+
+def _fuse(
+    state: Perception,
+    frame: Frame,
+    tracked: Tracked,
+    observation: Observation | None,
+    registration: Registration | None,
+    predicted: Array | None,
+    row: dict[str, Any],
+    config: Config,
+) -> None:
+    """Accept or predict, merge, and write what came of it into the row."""
+    rng = generator(config.seed, "fusion", frame.index)
+    first = state.fusion.model is None and observation is not None and tracked.state == "tracked"
+    state.accepted = first or (registration is not None and registration.accepted)
+    if first:
+        state.T_camera_model = state.T_prior = np.eye(4)
+    elif registration is not None and registration.accepted:
+        state.T_camera_model = state.T_prior = orthonormalise(registration.T_camera_model)
+    else:
+        state.T_camera_model = predicted
+        # the image tracker's pose is no accepted registration, but the best place to look from next
+        state.T_prior = tracked.T_camera_model if tracked.T_camera_model is not None else predicted
+    if observation is not None:
+        row["n_observed"] = len(observation.points)
+    if registration is not None:
+        row["icp_accepted"] = registration.accepted
+        row["icp_fitness"], row["icp_gate_fitness"] = registration.fitness, registration.gate_fitness
+        row["icp_rmse"], row["icp_reject_reason"] = registration.rmse, registration.reject_reason
+    elif not first and tracked.state != "not_started":
+        row["icp_reject_reason"] = "lost" if tracked.state == "lost" else "too_few_points"
+    row["predicted"] = not state.accepted
+    if state.accepted:
+        assert observation is not None
+        assert state.T_camera_model is not None
+        T_model_camera = invert(state.T_camera_model)
+        if registration is not None and state.fusion.model is not None:
+            centre = transform(T_model_camera, observation.points).mean(axis=0)
+            row["residual_translation"] = float(np.linalg.norm(centre - state.fusion.model.points.mean(axis=0)))
+        row["n_filtered"] = state.fusion.step(observation, T_model_camera, rng)
+        state.T_accepted, state.accepted_ns = state.T_camera_model, frame.t_ns
+    model = state.fusion.model
+    if model is None or state.T_camera_model is None:
+        return
+    row["n_model"] = len(model.points)
+    if state.feature is None:
+        centre = model.points.mean(axis=0)
+        state.feature = model.points[int(np.argmin(np.linalg.norm(model.points - centre, axis=1)))]
+    if frame.t_ns - state.accepted_ns <= config.estimation.null_after_s * 1e9:
+        row.update(pose_columns("model", state.T_camera_model))
+        centroid = transform(state.T_camera_model, model.points.mean(axis=0)[None])[0]
+        row.update(zip(("centroid_px", "centroid_py", "centroid_pz"), centroid.tolist(), strict=True))
+
+
+def _estimate(state: Perception, frame: Frame, T_base_camera: Array | None, row: dict[str, Any]) -> Estimate | None:
+    """The velocity filter's step, and its columns where it is not stale."""
+    measured = None
+    if state.accepted and state.feature is not None and T_base_camera is not None:
+        assert state.T_camera_model is not None
+        measured = transform(T_base_camera @ state.T_camera_model, state.feature[None])[0]
+    estimate = state.velocity.step(frame.t_ns, measured)
+    if estimate is None or estimate.stale:
+        return None
+    place = estimate.position
+    if measured is not None:
+        place = measured
+    row.update(zip(("feature_px", "feature_py", "feature_pz"), place.tolist(), strict=True))
+    row.update(zip(("velocity_x", "velocity_y", "velocity_z"), estimate.velocity.tolist(), strict=True))
+    row["velocity_sd"], row["nis"] = estimate.velocity_sd, estimate.nis
+    return estimate
+
+
+def pose_columns(prefix: str, T: Array) -> dict[str, float]:
+    return {f"{prefix}_{name}": float(value) for name, value in zip(POSE, pose_from_matrix(T), strict=True)}
