@@ -20,6 +20,7 @@ class Faults:
     velocity_bias: added to the estimated velocity, m/s, base. latency: perception older than the controller thinks, s.
     grasp_offset: chosen palm pose in the intended one. evaluator_bias: added to the score. close_shift: the close comes this
     much too early (negative) or late (positive), s. tracker_drift: speed at which the believed place walks off, m/s, base.
+    descent: the hand comes down this much faster than it moves sideways (1: twice as fast), so that it sweeps in low.
     """
 
     hand_eye: Six = NONE6
@@ -30,6 +31,7 @@ class Faults:
     evaluator_bias: float = 0.0
     close_shift: float = 0.0
     tracker_drift: Three = NONE3
+    descent: float = 0.0
 
     def present(self) -> tuple[str, ...]:
         """Names of the faults that are not zero."""
@@ -56,6 +58,6 @@ def draw(rng: np.random.Generator, name: str, size: tuple[float, ...]) -> Six | 
     if name in ("velocity_bias", "tracker_drift"):
         direction[2] *= 0.3  # belts don't rise; errors in height are smaller
         return tuple(float(v) for v in direction * strength * size[0])  # type: ignore[return-value]
-    if name == "latency":
+    if name in ("latency", "descent"):
         return float(strength * size[0])
     return float(strength * size[0] * (1 if rng.random() < 0.5 else -1))

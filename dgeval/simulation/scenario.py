@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dgeval.config import Config, read_toml
@@ -69,6 +70,9 @@ class Scenario(_Section):
     noise: PerceptionNoise = PerceptionNoise()
     evaluator: EvaluatorConfig = EvaluatorConfig()
     faults: dict[str, FaultConfig] = {}
+    faults_at_most: int | None = Field(
+        None, ge=1, description="draw 1 to this many faults with the shares as weights; default: each by its own share"
+    )
     pipeline: Config = Config()
 
 
@@ -150,14 +154,20 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
     rng = generator(seed, f"plan/{scenario.name}", index)
     direction = 1.0 if rng.random() < 0.5 else -1.0
     yaw = float(rng.uniform(-3.14159, 3.14159))
-    x = 0.48 + float(rng.uniform(-0.09, 0.07))
+    x = 0.47 + float(rng.uniform(-0.06, 0.06))
     y = -direction * min(0.42, 0.05 + 1.9 * speed) + float(rng.uniform(-0.02, 0.02))
     home_y = y + float(rng.uniform(-0.09, 0.09))  # the hand doesn't start right above the object
+    wanted: list[str] | None = None
+    if scenario.faults_at_most is not None and scenario.faults:
+        weights = np.array([f.share for f in scenario.faults.values()])
+        count = min(int(rng.integers(1, scenario.faults_at_most + 1)), int((weights > 0).sum()))
+        wanted = [str(n) for n in rng.choice(list(scenario.faults), count, replace=False, p=weights / weights.sum())]
     values: dict[str, Any] = {}
     for fault in Faults.__dataclass_fields__:  # each from its own draws, so that adding one changes no other
         own = generator(seed, f"plan/{scenario.name}/{fault}", index)
         config = scenario.faults.get(fault)
-        if config is not None and own.random() < config.share:
+        drawn = own.random() < (config.share if config is not None else 0.0)
+        if config is not None and (drawn if wanted is None else fault in wanted):
             values[fault] = draw(own, fault, config.size)
     trial_id = f"{name}-{round(speed * 1000):03d}-{index:04d}"
     return Plan(trial_id, name, direction * speed, x, y, yaw, home_y, Faults(**values), seed, index)

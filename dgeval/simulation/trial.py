@@ -159,7 +159,9 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: Sequence[Kno
             if chosen is not None:
                 T_grasp = T_object @ grasps[chosen].T_object_palm @ increment(np.array(faults.grasp_offset))
                 command = servo.step(t_ns, palm, T_grasp, world.T_base_hand() @ T_hand_camera, T_object[:3, 3], velocity_now)
-                twist = command.twist * min(1.0, float((MAX_TWIST / (np.abs(command.twist) + 1e-12)).min()))
+                demanded = command.twist.copy()
+                demanded[2] += faults.descent * config.servo.c_p_v * (T_grasp[2, 3] - palm[2, 3])
+                twist = demanded * min(1.0, float((MAX_TWIST / (np.abs(demanded) + 1e-12)).min()))
                 early = max(0.0, -faults.close_shift)
                 nearer = _ahead(palm, T_grasp, early * config.servo.c_p_v)
                 score = analytic_score(nearer, T_grasp, grasps[chosen].quality, faults.evaluator_bias, scenario.evaluator)

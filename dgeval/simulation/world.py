@@ -283,7 +283,7 @@ def matrix_of(pose_wxyz: Array) -> Array:
 def home(kinematics: ArmKinematics, y: float, height: float = 0.46) -> Array:
     """Arm joints (7,) with the hand over the belt pointing straight down, its palm normal along base +x."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
-    T[:3, 3] = (0.43, y, height)
+    T[:3, 3] = (0.36, y, height)
     turn = np.arctan2(y, 0.45)
     q, residual = kinematics.solve(T @ T_hand_palm, np.array([turn, -0.37, 0.0, 2.32, 0.0, -1.19, -turn]))
     if residual > 1e-4:
