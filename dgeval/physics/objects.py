@@ -1,7 +1,7 @@
 """Objects to grasp: ten like those of the paper, procedural ones to train on, and users' meshes.
 
-Object frame: origin at the centre of the bounding box (of a mug: of its body), z up as it stands on the belt. Metres, kilograms. Each object is a
-set of convex parts for contact and, where those would look like what they are, one mesh to be seen.
+Object frame: origin at the centre of the bounding box (of a mug: of its body), z up as it stands on the belt. Metres,
+kilograms. Each object is a set of convex parts for contact and, where those would not look right, a mesh to be seen.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Many trials: simulated without images first, then those wanted rendered; over processes, resumable, the same for any number.
 
 OUT/truth/<trial>.json is the commit mark of a simulated trial, OUT/recorded/<trial>.json that of its recording; the
-manifest (OUT/<scenario>.toml) names all recordings and what they were made from.
+manifest (OUT/<scenario>.toml) names all recordings and what they were made from; OUT/simulated.json holds the truth of all
+trials, those not chosen included.
 """
 
 from __future__ import annotations
@@ -228,9 +229,10 @@ def run_campaign(
             for k, result in enumerate(over(record_trial, campaign, tuple(c["index"] for c in chosen))):
                 recorded[k] = result
                 progress("record", k + 1, len(chosen), result)
+    shutil.rmtree(campaign.out / "part", ignore_errors=True)
     pairs = list(zip(chosen, recorded, strict=True))
     _write_manifest(campaign, pairs)
-    _write(campaign.out / "all_truths.json", {"simulated": proved})
+    _write(campaign.out / "simulated.json", {"simulated": proved})
     return pairs
 
 
@@ -292,7 +294,7 @@ def _write_manifest(campaign: Campaign, pairs: list[tuple[dict[str, Any], dict[s
         if recording is not None:
             lines.append(f'sha256 = "{recording["sha256"]}"')
             if recording["bbox"] is not None:
-                lines.append(f"bbox = {recording['bbox']}")
+                lines.append(f"bbox = {list(recording['bbox'])}")
         lines += [
             f'object = "{verdict["object"]}"',
             f'scenario = "{campaign.scenario.name}"',

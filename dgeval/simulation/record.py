@@ -83,7 +83,7 @@ def write_recording(
                 v, u = np.nonzero(eyes.mask())
                 if len(v):
                     box = float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)
-            images = kept[belief.index] if belief.index in kept else _draw(eyes, belief)
+            images = kept[belief.index] if belief.index in kept else _draw(eyes, belief, scenario.camera.jpeg_quality)
             writer.write("/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera))
             writer.write(COLOUR_TOPIC, t_ns, jpeg_file_message(t_ns, CAMERA_FRAME, images.jpeg))
             depth = compressed_depth_message(t_ns, CAMERA_FRAME, images.depth, scenario.depth_level)
@@ -114,9 +114,9 @@ def write_recording(
     return Recorded(len(run.frames), box)
 
 
-def _draw(eyes: Eyes, belief: FrameBelief) -> Images:
+def _draw(eyes: Eyes, belief: FrameBelief, quality: int) -> Images:
     colour, depth = eyes.look(belief.index)
-    return Images(encode(colour), depth, eyes.mask() if belief.accepted else None)
+    return Images(encode(colour, quality), depth, eyes.mask() if belief.accepted else None)
 
 
 def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scenario: Scenario) -> dict[str, Any]:

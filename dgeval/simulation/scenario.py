@@ -30,6 +30,7 @@ class CameraConfig(_Section):
     height: int = Field(480, ge=48, le=1080)
     rate: float = Field(30.0, gt=0, le=90)
     min_range: float | None = Field(None, gt=0, description="m, in place of the profile's")
+    jpeg_quality: int = Field(85, ge=1, le=100)
     drop: float = Field(0.01, ge=0, lt=1, description="share of frames that are lost")
 
 

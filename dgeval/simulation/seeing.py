@@ -19,8 +19,6 @@ from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import World
 from dgeval.stages.perception import Perception
 
-JPEG_QUALITY = 85
-
 
 @dataclass(frozen=True)
 class Images:
@@ -33,9 +31,9 @@ class Images:
     model: Array | None = None
 
 
-def encode(colour: NDArray[np.uint8]) -> bytes:
+def encode(colour: NDArray[np.uint8], quality: int) -> bytes:
     """(H, W, 3) RGB as JPEG."""
-    return bytes(cv2.imencode(".jpg", colour[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
+    return bytes(cv2.imencode(".jpg", colour[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
 
 
 class RenderedPerception:
@@ -54,11 +52,12 @@ class RenderedPerception:
         self._T_model_object: Array | None = None
         self._bias = increment(np.array(plan.faults.registration_bias))
         self._started = False
+        self._quality = scenario.camera.jpeg_quality
         self.kept: dict[int, Images] = {}
 
     def see(self, frame: int, t_ns: int, world: World) -> Sight:
         colour, depth = self._eyes.look(frame)
-        jpeg = encode(colour)
+        jpeg = encode(colour, self._quality)
         decoded = np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)[:, :, ::-1]
         metres = depth.astype(np.float32) * np.float32(self._unit)
         T_base_camera = world.T_base_hand() @ T_hand_camera
