@@ -17,6 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from dgeval.config import Config
+from dgeval.geometry import Array, pose_from_matrix
+from dgeval.recording.images import decode_image, depth_from
+from dgeval.recording.trials import Trial, TrialSpec, open_trial
 from dgeval.recording.write import (
     TYPES,
     McapWriter,
@@ -26,10 +30,6 @@ from dgeval.recording.write import (
     pose_message,
     transform_message,
 )
-from dgeval.config import Config
-from dgeval.geometry import Array, pose_from_matrix
-from dgeval.recording.images import decode_image, depth_from
-from dgeval.recording.trials import Trial, TrialSpec, open_trial
 
 from benchmarks.depth_to_colour import ColourCamera
 from benchmarks.motion import MODES, Motion

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from datasets.raycast import Box, Scene, add_noise, printed, render, speckle
+from dgeval.geometry import Array, Intrinsics, increment, pose_from_matrix
 from dgeval.recording.write import (
     McapWriter,
     camera_info_message,
@@ -18,7 +19,6 @@ from dgeval.recording.write import (
     message,
     transform_message,
 )
-from dgeval.geometry import Array, Intrinsics, increment, pose_from_matrix
 
 from benchmarks.motion import steps
 from benchmarks.rebase import raw_depth_message

@@ -12,9 +12,8 @@ from dgeval.errors import UnreadableError, UsageError
 from dgeval.geometry import Intrinsics
 from dgeval.recording.containers import open_container, sha256_of
 from dgeval.recording.trials import find_trials, open_trial
-from rosbags.typesys import Stores, get_typestore
-
 from dgeval.recording.write import McapWriter, camera_info_message, header, message
+from rosbags.typesys import Stores, get_typestore
 
 CAMERA = Intrinsics(16, 12, 20.0, 20.0, 8.0, 6.0)
 START = 1_700_000_000_000_000_000

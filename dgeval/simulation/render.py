@@ -61,10 +61,13 @@ class Eyes:
 
     def mask(self) -> NDArray[np.bool_]:
         """Pixels (H, W) of the colour image that show the object."""
+        model = self._world.model
+        return self.mask_of(np.flatnonzero(model.geom_bodyid == model.body("object").id).tolist())
+
+    def mask_of(self, geoms: list[int]) -> NDArray[np.bool_]:
+        """Pixels (H, W) of the colour image that show one of the geoms."""
         self._renderer.update_scene(self._world.data, "colour", self._options)
         self._renderer.enable_segmentation_rendering()
         seen = self._renderer.render()
         self._renderer.disable_segmentation_rendering()
-        model = self._world.model
-        geoms = np.flatnonzero(model.geom_bodyid == model.body("object").id)
         return np.asarray((seen[:, :, 1] == int(mujoco.mjtObj.mjOBJ_GEOM)) & np.isin(seen[:, :, 0], geoms))

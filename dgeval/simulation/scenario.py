@@ -47,10 +47,10 @@ class PerceptionNoise(_Section):
 
 
 class EvaluatorConfig(_Section):
-    """The score that stands in for FFHNet's evaluator: (0.8 + 0.2 quality) exp(-d^2/2s_t^2 - a^2/2s_r^2)."""
+    """The score that stands in for FFHNet's evaluator: (0.5 + 0.5 quality) exp(-d^2/2s_t^2 - a^2/2s_r^2)."""
 
-    position: float = Field(0.016, gt=0, description="s_t, m")
-    angle: float = Field(12.0, gt=0, description="s_r, degrees")
+    position: float = Field(0.009, gt=0, description="s_t, m")
+    angle: float = Field(8.0, gt=0, description="s_r, degrees")
 
 
 class Scenario(_Section):
@@ -66,7 +66,7 @@ class Scenario(_Section):
     perception: Literal["modelled", "rendered"] = Field(
         "modelled", description="in the loop: truth with errors, or the pipeline's own stages on rendered images"
     )
-    max_seconds: float = Field(6.5, gt=1, description="without a close, the trial ends")
+    max_seconds: float = Field(7.0, gt=1, description="without a close, the trial ends")
     camera: CameraConfig = CameraConfig()
     noise: PerceptionNoise = PerceptionNoise()
     evaluator: EvaluatorConfig = EvaluatorConfig()
@@ -157,7 +157,7 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
     yaw = float(rng.uniform(-3.14159, 3.14159))
     x = 0.47 + float(rng.uniform(-0.06, 0.06))
     y = -direction * min(0.42, 0.05 + 1.9 * speed) + float(rng.uniform(-0.02, 0.02))
-    home_y = y + float(rng.uniform(-0.09, 0.09))  # the hand doesn't start right above the object
+    home_y = min(max(y + float(rng.uniform(-0.09, 0.09)), -0.45), 0.45)  # the hand doesn't start right above the object
     wanted: list[str] | None = None
     if scenario.faults_at_most is not None and scenario.faults:
         weights = np.array([f.share for f in scenario.faults.values()])

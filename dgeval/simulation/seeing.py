@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dgeval.geometry import Array, increment, invert
 from dgeval.physics.scene import pose_of
 from dgeval.physics.urdf import robot_urdf
-from dgeval.recording.description import LinkShape, load_description
+from dgeval.recording.description import Description, LinkShape, load_description
 from dgeval.recording.frame import Frame
 from dgeval.simulation.perception import Sight, T_hand_camera
 from dgeval.simulation.render import Eyes
@@ -71,7 +71,7 @@ class RenderedPerception:
         seen = self._perception.step(
             Frame(
                 frame, t_ns, np.ascontiguousarray(decoded), metres, camera.intrinsics,
-                T_base_camera, world.T_base_palm(), self._shapes(world, T_base_camera),
+                T_base_camera, world.T_base_palm(), hand_shapes(self._hand, world, T_base_camera),
             ),
             T_base_camera, box, lambda _: None,
         )  # fmt: skip
@@ -91,11 +91,13 @@ class RenderedPerception:
         T[:3, 3] += np.array(self._plan.faults.tracker_drift) * world.t
         return Sight(T)
 
-    def _shapes(self, world: World, T_base_camera: Array) -> list[tuple[LinkShape, Array]]:
-        T_camera_base = invert(T_base_camera)
-        return [
-            (shape, T_camera_base @ pose_of(world.data, link) @ shape.T_link_shape)
-            for link in self._hand.below("hand_base")
-            if self._hand.shapes.get(link)
-            for shape in self._hand.shapes[link]
-        ]
+
+def hand_shapes(description: Description, world: World, T_base_camera: Array) -> list[tuple[LinkShape, Array]]:
+    """The hand's solids with T_camera_shape as the robot believes them: joints as they are, camera as calibrated."""
+    T_camera_base = invert(T_base_camera)
+    return [
+        (shape, T_camera_base @ pose_of(world.data, link) @ shape.T_link_shape)
+        for link in description.below("hand_base")
+        if description.shapes.get(link)
+        for shape in description.shapes[link]
+    ]

@@ -90,7 +90,7 @@ def analytic_score(T_base_palm: Array, T_base_grasp: Array, quality: float, bias
     """Stand-in for FFHNet's evaluator: how near the palm is to a grasp that is known to hold, and how well that holds."""
     d = float(np.linalg.norm(T_base_palm[:3, 3] - T_base_grasp[:3, 3]))
     angle = rotation_angle(T_base_palm[:3, :3].T @ T_base_grasp[:3, :3])
-    value = (0.8 + 0.2 * quality) * np.exp(-0.5 * (d / c.position) ** 2 - 0.5 * (angle / np.radians(c.angle)) ** 2)
+    value = (0.5 + 0.5 * quality) * np.exp(-0.5 * (d / c.position) ** 2 - 0.5 * (angle / np.radians(c.angle)) ** 2)
     return float(np.clip(value + bias, 0.0, 1.0))
 
 
@@ -205,7 +205,7 @@ def _choose(
     run: Run,
 ) -> int | None:
     """Index of the grasp with the best dynamic metric that the arm can reach; unreachable ones are left out for good."""
-    candidates = {k: Grasp(T_object @ g.T_object_palm, 0.8 + 0.2 * g.quality) for k, g in enumerate(grasps)}
+    candidates = {k: Grasp(T_object @ g.T_object_palm, 0.5 + 0.5 * g.quality) for k, g in enumerate(grasps)}
     for k, ok in reachable.items():
         if not ok:
             candidates.pop(k, None)
