@@ -22,7 +22,7 @@ $(VENV)/.done: pyproject.toml constraints.txt
 
 demo: setup
 	$(BIN)/dgeval inspect datasets/demo.mcap
-	$(BIN)/dgeval replay datasets/demo.mcap --out runs/demo
+	$(BIN)/dgeval replay datasets/demo.mcap datasets/ci-smoke/ci-smoke.toml --out runs/demo
 	$(BIN)/dgeval report runs/demo
 	@echo
 	@echo "Look at runs/demo/report.html in a browser, and at the recording with"
@@ -44,6 +44,10 @@ test: setup
 
 soak: setup
 	$(BIN)/python tests/soak/damage_campaign.py --out reports/damage.md
+	$(BIN)/dgeval simulate conveyor --out runs/conveyor --jobs 2
+	$(BIN)/dgeval replay runs/conveyor/conveyor.toml --out runs/conveyor/replay --no-review --jobs 2
+	$(BIN)/python -m benchmarks.truth runs/conveyor/replay runs/conveyor/conveyor.toml
+	$(BIN)/python -m benchmarks.simulation runs/conveyor/simulated.json --stability 4
 
 bench: setup
 	$(BIN)/python -m benchmarks.registration

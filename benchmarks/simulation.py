@@ -41,6 +41,7 @@ def by_speed(results: list[dict[str, Any]]) -> str:
         some = [r for r in results if speed is None or round(abs(r["verdict"]["speed"]) * 1000) == speed]
         k = sum(kind(r) == "success" for r in some)
         low, high = wilson(k, len(some))
+        interval = f"{100 * low:.0f}–{100 * high:.0f} %"
         printed = f"{PAPER[speed]} %" if speed in PAPER else ("71.7 %" if speed is None else "–")
         rows.append(
             [str(speed) if speed is not None else "all", f"{k}/{len(some)}", f"{100 * low:.0f}–{100 * high:.0f} %", printed]
@@ -97,7 +98,7 @@ def main() -> None:
     results = json.loads(path.read_text())["simulated"]
     name = results[0]["verdict"]["scenario"]
     notes = (
-        "Stood in: modelled perception for TransT-M and ICP in the loop, an analytic sampler with an analytic score for FFHNet; "
+        "Stood in: modelled perception for TransT-M and ICP in the loop, an analytic sampler and score for FFHNet; "
         f"servo gains {results[0]['verdict']['gains']}; faults as in the scenario."
     )
     parts = [notes, by_speed(results), shares(results), seconds(results)]

@@ -54,8 +54,9 @@ class Campaign:
     format: str = "mcap"
 
     def key(self) -> str:
-        """What a trial's result depends on."""
-        about = [__version__, self.scenario.model_dump(mode="json"), self.seed, self.blame, str(self.meshes), fingerprint()]
+        """What a trial's result depends on; how many are wanted is not part of it."""
+        scenario = self.scenario.model_dump(mode="json", exclude={"choose", "max_attempts", "trials"})
+        about = [__version__, scenario, self.seed, self.blame, str(self.meshes), fingerprint()]
         if self.format != "mcap":
             about.append(self.format)
         return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
