@@ -43,9 +43,7 @@ def by_speed(results: list[dict[str, Any]]) -> str:
         low, high = wilson(k, len(some))
         interval = f"{100 * low:.0f}–{100 * high:.0f} %"
         printed = f"{PAPER[speed]} %" if speed in PAPER else ("71.7 %" if speed is None else "–")
-        rows.append(
-            [str(speed) if speed is not None else "all", f"{k}/{len(some)}", f"{100 * low:.0f}–{100 * high:.0f} %", printed]
-        )
+        rows.append([str(speed) if speed is not None else "all", f"{k}/{len(some)}", interval, printed])
     return table(["belt mm/s", "succeeded", "95 % Wilson", "paper, Table II"], rows)
 
 

@@ -16,7 +16,7 @@ def test_columns_page_is_made_from_the_schema() -> None:
 
 def test_readme_names_only_what_exists() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    for name in ("docs/review.jpg", "docs/report.png", "docs/columns.md", "datasets/demo.mcap"):
+    for name in ("docs/review.jpg", "docs/report.png", "docs/columns.md", "docs/simulated.jpg", "datasets/demo.mcap"):
         assert name in text
         assert (ROOT / name).is_file()
 
