@@ -19,7 +19,7 @@ from dgeval.recording.messages import poses_of
 from dgeval.recording.trials import TrialSpec, find_trials, open_trial
 from dgeval.run import file_name
 
-from benchmarks.result import table, write
+from benchmarks.result import number, table, write
 
 POSE = [f"model_{n}" for n in ("px", "py", "pz", "qx", "qy", "qz", "qw")]
 
@@ -90,11 +90,11 @@ def main() -> None:
     lines = []
     for by in ("object", "speed"):
         cells = [
-            [str(name), str(len(g)), str(int(g["n"].sum())), *(f"{g[c].median() * s:.1f}" for c, s in MEASURES), worst(g)]
+            [str(name), str(len(g)), str(int(g["n"].sum())), *(number(g[c].median() * s) for c, s in MEASURES), worst(g)]
             for name, g in everything.groupby(by)
         ]
         head = [by, "trials", "frames", "position mm", "angle deg", "velocity mm/s", "worst trial, mm"]
-        lines += [f"By {by}, medians over trials of each trial's median while in sight, after 1 s:", "", table(head, cells), ""]
+        lines += [f"By {by}, medians over trials of each trial's median while in sight, after 1 s:", table(head, cells)]
     command = f"python -m benchmarks.truth RUN {manifest.name}"
     write("truth", "Replay of simulated recordings against the truth", command, lines)
 
@@ -103,7 +103,7 @@ MEASURES = (("position_m", 1e3), ("angle_deg", 1.0), ("velocity_m_s", 1e3))
 
 
 def worst(group: pd.DataFrame) -> str:
-    return f"{group['position_m'].max() * 1e3:.1f}"
+    return number(group["position_m"].max() * 1e3)
 
 
 if __name__ == "__main__":
