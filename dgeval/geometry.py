@@ -55,6 +55,9 @@ def increment(xi: Array) -> Array:
 
 def rotation_vector(R: Array) -> Array:
     """Rotation matrix (3, 3) -> rotation vector (3,), rad."""
+    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    if R[0, 0] + R[1, 1] + R[2, 2] > 2.9 and sine @ sine < 1e-8:
+        return sine  # OpenCV calls angles below 1e-5 zero; up to 1e-4 the sine is the angle to 2e-13
     return np.asarray(cv2.Rodrigues(R)[0][:, 0])
 
 
