@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, matrix_from_pose
-from dgeval.physics.hand import ACTUATED, CLOSED, RADIUS, T_hand_palm, quat_wxyz
+from dgeval.physics.hand import ACTUATED, RADIUS, T_hand_palm, quat_wxyz
 from dgeval.physics.objects import ObjectModel, at
 from dgeval.physics.scene import TIMESTEP, build
+from dgeval.simulation.world import CLOSE_S, LIFT_HEIGHT, LIFT_S, SETTLE_S, finger_targets
 
-CLOSE_S, LIFT_S, LIFT_HEIGHT = 0.4, 0.7, 0.20  # the closing ramp; the lift, s and m
 REPETITIONS = 6
 
 
@@ -91,12 +91,11 @@ class FlyingHand:
         """Close, lift, hold for 0.3 s; True if the object came along."""
         m, d = self.model, self.data
         start = d.mocap_pos[0].copy()
-        steps = round((CLOSE_S + 0.1 + LIFT_S + 0.3) / TIMESTEP)
+        steps = round((CLOSE_S + SETTLE_S + LIFT_S + 0.3) / TIMESTEP)
         for k in range(steps):
             t = k * TIMESTEP
-            closing = min(t / CLOSE_S, 1.0)
-            d.ctrl[self._drives] = preshape + closing * (np.maximum(CLOSED, preshape) - preshape)
-            rise = float(np.clip((t - CLOSE_S - 0.1) / LIFT_S, 0, 1))
+            d.ctrl[self._drives] = finger_targets(t, preshape)
+            rise = float(np.clip((t - CLOSE_S - SETTLE_S) / LIFT_S, 0, 1))
             d.mocap_pos[0, 2] = start[2] + LIFT_HEIGHT * rise * rise * (3 - 2 * rise)
             mujoco.mj_step(m, d)
             if k % 25 == 0 and rise > 0.5 and d.qpos[self._object + 2] < self.rest + 0.02:

@@ -80,9 +80,7 @@ def write_recording(
             if belief is None:
                 continue
             if box is None and belief.index == run.frames[0].index:
-                v, u = np.nonzero(eyes.mask())
-                if len(v):
-                    box = float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)
+                box = eyes.box()
             images = kept[belief.index] if belief.index in kept else _draw(eyes, belief, scenario.camera.jpeg_quality)
             writer.write("/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera))
             writer.write(COLOUR_TOPIC, t_ns, jpeg_file_message(t_ns, CAMERA_FRAME, images.jpeg))

@@ -59,6 +59,11 @@ class Eyes:
         depth[depth > 5.9] = 0.0  # the far plane
         return np.asarray(depth, dtype=np.float32)
 
+    def box(self) -> tuple[float, float, float, float] | None:
+        """x0 y0 x1 y1 px around what is seen of the object, None where nothing is."""
+        v, u = np.nonzero(self.mask())
+        return (float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)) if len(v) else None
+
     def mask(self) -> NDArray[np.bool_]:
         """Pixels (H, W) of the colour image that show the object."""
         model = self._world.model

@@ -63,10 +63,8 @@ class RenderedPerception:
         T_base_camera = world.T_base_hand() @ T_hand_camera
         box = None
         if not self._started:
-            v, u = np.nonzero(self._eyes.mask())
-            if len(v):
-                box = float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)
-                self._started = True
+            box = self._eyes.box()
+            self._started = box is not None
         camera = self._eyes.cameras[0]
         seen = self._perception.step(
             Frame(

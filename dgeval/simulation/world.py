@@ -60,7 +60,6 @@ class World:
         self._is_object = np.zeros(m.ngeom, bool)
         self._is_object[self.object_geoms] = True
         self._size = mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_INTEGRATION)
-        self._contact_bits = m.geom_conaffinity[self.hand_geoms].copy(), m.geom_contype[self.hand_geoms].copy()
         self.q_set = np.zeros(7)
         self.rest = thing.rest_height()
 
@@ -113,11 +112,6 @@ class World:
         mujoco.mj_forward(self.model, self.data)
         return residual
 
-    def hand_contact(self, on: bool) -> None:
-        """Switch all contact of the hand off or on again."""
-        self.model.geom_conaffinity[self.hand_geoms] = self._contact_bits[0] if on else 0
-        self.model.geom_contype[self.hand_geoms] = self._contact_bits[1] if on else 0
-
     def T_base_hand(self) -> Array:
         return pose_of(self.data, "hand_base")
 
@@ -126,14 +120,6 @@ class World:
 
     def T_base_object(self) -> Array:
         return pose_of(self.data, "object")
-
-    def object_state(self) -> tuple[Array, Array]:
-        """Pose (7,) in MuJoCo's order and velocity (6,) of the object."""
-        d = self.data
-        return (
-            d.qpos[self.object : self.object + 7].copy(),
-            d.qvel[self.object_dof : self.object_dof + 6].copy(),
-        )
 
     def touching(self) -> tuple[bool, bool]:
         """Whether the hand touches the object, and anything else."""
