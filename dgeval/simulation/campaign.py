@@ -22,6 +22,7 @@ from typing import Any
 
 from dgeval import __version__
 from dgeval.determinism import fingerprint, limit_threads, set_thread_variables
+from dgeval.physics.closing import AFTER_CLOSE_S, CONTROL_S
 from dgeval.physics.objects import ObjectModel, ten_objects
 from dgeval.recording.containers import sha256_of
 from dgeval.simulation.blame import blame
@@ -34,7 +35,7 @@ from dgeval.simulation.scenario import Plan, Scenario, plan_trial
 from dgeval.simulation.seeing import Images, RenderedPerception
 from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import prove
-from dgeval.simulation.world import AFTER_CLOSE_S, CONTROL_S, World, twin_path
+from dgeval.simulation.world import World, twin_path
 
 BLOCK = 24  # trials simulated between two looks at what is still wanted; a constant, so that jobs don't matter
 

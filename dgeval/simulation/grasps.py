@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, matrix_from_pose
+from dgeval.physics.closing import CLOSE_S, LIFT_HEIGHT, LIFT_S, SETTLE_S, finger_targets
 from dgeval.physics.hand import ACTUATED, RADIUS, T_hand_palm, quat_wxyz
 from dgeval.physics.objects import ObjectModel, at
 from dgeval.physics.scene import TIMESTEP, build
-from dgeval.simulation.world import CLOSE_S, LIFT_HEIGHT, LIFT_S, SETTLE_S, finger_targets
 
 REPETITIONS = 6
 

@@ -13,6 +13,7 @@ import numpy as np
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, transform
 from dgeval.physics.arm import JOINT_NAMES as ARM_JOINTS
+from dgeval.physics.closing import CLOSE_S, CONTROL_S, SETTLE_S
 from dgeval.physics.hand import ACTUATED, FINGERS, JOINT_NAMES
 from dgeval.physics.objects import surface_points
 from dgeval.physics.urdf import CAMERA_FRAME, robot_urdf
@@ -36,7 +37,7 @@ from dgeval.simulation.scenario import Scenario
 from dgeval.simulation.seeing import Images, encode
 from dgeval.simulation.trial import FrameBelief, Run
 from dgeval.simulation.truth import Truth
-from dgeval.simulation.world import CLOSE_S, CONTROL_S, SETTLE_S, World, matrix_of
+from dgeval.simulation.world import World, matrix_of
 
 START_NS = 1_800_000_000_000_000_000
 BASE = "base_link"

@@ -12,11 +12,12 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, rotation_angle
+from dgeval.physics.closing import CONTROL_S, NEAR, TRUTH_STEP
 from dgeval.physics.hand import MAX_SPEED
 from dgeval.simulation.grasps import KnownGrasp
 from dgeval.simulation.perception import Perceiver, T_hand_camera
 from dgeval.simulation.scenario import EvaluatorConfig, Plan, Scenario
-from dgeval.simulation.world import CONTROL_S, FINISH_S, NEAR, TRUTH_STEP, Finish, Finisher, Snapshot, World, home
+from dgeval.simulation.world import FINISH_S, Finish, Finisher, Snapshot, World, home
 from dgeval.stages.estimation import VelocityFilter
 from dgeval.stages.execution import execute
 from dgeval.stages.schedule import Delayed

@@ -10,12 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dgeval.geometry import Array, increment, rotation_angle
+from dgeval.physics.closing import AFTER_CLOSE_S, CONTROL_S, NEAR, TRUTH_STEP
 from dgeval.simulation.trial import Run
 from dgeval.simulation.world import (
-    AFTER_CLOSE_S,
-    CONTROL_S,
-    NEAR,
-    TRUTH_STEP,
     Finish,
     Finisher,
     Snapshot,

@@ -10,20 +10,25 @@ import numpy as np
 from dgeval.geometry import Array, transform
 from dgeval.physics.arm import DAMPING, STIFFNESS, ArmKinematics
 from dgeval.physics.arm import JOINT_NAMES as ARM_JOINTS
-from dgeval.physics.hand import ACTUATED, CLOSED, FINGERS, JOINT_NAMES, T_hand_palm
+from dgeval.physics.closing import (
+    CLOSE_S,
+    CONTROL_S,
+    GRASP_CENTRE,
+    LIFT_S,
+    MAX_FROM_HAND,
+    MIN_LIFT,
+    SETTLE_S,
+    finger_targets,
+    finishing_twist,
+)  # fmt: skip
+from dgeval.physics.hand import ACTUATED, FINGERS, JOINT_NAMES, T_hand_palm
 from dgeval.physics.objects import ObjectModel
 from dgeval.physics.scene import TIMESTEP, Camera, build, pose_of
 
-CONTROL_S = 0.010  # period of the control loop
 SUBSTEPS = round(CONTROL_S / TIMESTEP)
-CLOSE_S, SETTLE_S, LIFT_S, LIFT_HEIGHT, HOLD_S = 0.4, 0.1, 0.7, 0.20, 1.6  # closing ramp, wait, lift (m), hold after it
+HOLD_S = 1.6  # recorded after the lift
 SUCCESS_HOLD_S = 1.0  # after the lift ends (SIMULATION section 5)
 FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + HOLD_S
-MIN_LIFT, MAX_FROM_HAND = 0.10, 0.15  # m: over its support; object's centre from the grasp's centre
-GRASP_CENTRE = np.array([0.05, 0.012, 0.165])  # in hand_base
-AFTER_CLOSE_S = 0.6  # close times are tried until this long after the real one
-TRUTH_STEP = 3  # control periods between the close times tried, 30 ms
-NEAR = 0.08  # m; hand to object, where the window of other close times begins
 
 
 @dataclass(frozen=True)
@@ -185,23 +190,6 @@ class Finish:
     height: float
 
 
-def finishing_twist(since_close: float, velocity: Array) -> Array:
-    """Palm twist (6,) after the close command: follow the object, then lift straight up while the following dies out."""
-    twist = np.zeros(6)
-    lift = since_close - CLOSE_S - SETTLE_S
-    share = float(np.clip(lift / LIFT_S, 0.0, 1.0))
-    twist[:3] = velocity * (1 - share)
-    if 0 < share < 1:
-        twist[2] += LIFT_HEIGHT / LIFT_S * 6 * share * (1 - share)
-    return twist
-
-
-def finger_targets(since_close: float, preshape: Array) -> Array:
-    """Finger drives (15,) a time after the close command, s."""
-    closing = float(np.clip(since_close / CLOSE_S, 0.0, 1.0))
-    return np.asarray(preshape + closing * (np.maximum(CLOSED, preshape) - preshape))
-
-
 class Finisher:
     """Closing, lifting and holding, one control period at a time; the same in the trial and in every 'what if'."""
 
@@ -266,7 +254,7 @@ def matrix_of(pose_wxyz: Array) -> Array:
     return T
 
 
-def home(kinematics: ArmKinematics, y: float, height: float = 0.46) -> Array:
+def home(kinematics: ArmKinematics, y: float, height: float = 0.54) -> Array:
     """Arm joints (7,) with the hand over the belt pointing straight down, its palm normal along base +x."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[:3, 3] = (0.36, y, height)

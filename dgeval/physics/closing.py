@@ -1,0 +1,33 @@
+"""How the hand closes, follows, lifts, and when it has something: the same in the simulator, the grasp search and the twin."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgeval.geometry import Array
+from dgeval.physics.hand import CLOSED
+
+CONTROL_S = 0.010  # period of the control loop
+CLOSE_S, SETTLE_S, LIFT_S, LIFT_HEIGHT = 0.4, 0.1, 0.7, 0.20  # closing ramp, wait, lift (m)
+MIN_LIFT, MAX_FROM_HAND = 0.10, 0.15  # m: over its support; object's centre from the grasp's centre
+AFTER_CLOSE_S = 0.6  # close times are tried until this long after the real one
+TRUTH_STEP = 3  # control periods between the close times tried, 30 ms
+NEAR = 0.08  # m; hand to object, where the window of other close times begins
+GRASP_CENTRE = np.array([0.05, 0.012, 0.165])  # in hand_base
+
+
+def finishing_twist(since_close: float, velocity: Array) -> Array:
+    """Palm twist (6,) after the close command: follow the object, then lift straight up while the following dies out."""
+    twist = np.zeros(6)
+    lift = since_close - CLOSE_S - SETTLE_S
+    share = float(np.clip(lift / LIFT_S, 0.0, 1.0))
+    twist[:3] = velocity * (1 - share)
+    if 0 < share < 1:
+        twist[2] += LIFT_HEIGHT / LIFT_S * 6 * share * (1 - share)
+    return twist
+
+
+def finger_targets(since_close: float, preshape: Array) -> Array:
+    """Finger drives (15,) a time after the close command, s."""
+    closing = float(np.clip(since_close / CLOSE_S, 0.0, 1.0))
+    return np.asarray(preshape + closing * (np.maximum(CLOSED, preshape) - preshape))
