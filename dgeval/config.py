@@ -159,6 +159,12 @@ class ScheduleConfig(Section):
     grasps_latency_s: float = Field(0.0, ge=0)
 
 
+class VerdictConfig(Section):
+    method: Literal["twin", "geometry"] = Field("twin", description="what tells whether another close would have worked")
+    draws: int = Field(5, ge=1, le=50, description="of the object's place and friction, in the twin")
+    least: float = Field(0.5, ge=0, le=1, description="probability of the best class under which the answer is unknown")
+
+
 class ReviewConfig(Section):
     jpeg_quality: int = Field(85, ge=1, le=100, description="only for colour that was not recorded as JPEG or PNG")
     depth_every: int = Field(3, ge=1, description="a depth image in every n-th frame")
@@ -185,6 +191,7 @@ class Config(Section):
     servo: ServoConfig = ServoConfig()
     execution: ExecutionConfig = ExecutionConfig()
     schedule: ScheduleConfig = ScheduleConfig()
+    verdict: VerdictConfig = VerdictConfig()
     review: ReviewConfig = ReviewConfig()
 
 

@@ -35,11 +35,16 @@ class Step:
     tracked: Tracked
     model: Model | None
     T_camera_model: Array | None
+    T_base_camera: Array | None
+    accepted: bool
 
 
-def replay(trial: Trial, config: Config) -> Iterator[Step]:
-    """Frames of one trial in order. With no camera pose in the log, base quantities are in the camera frame."""
-    state = Perception(config)
+def replay(trial: Trial, config: Config, perception: Perception | None = None) -> Iterator[Step]:
+    """Frames of one trial in order. With no camera pose in the log, base quantities are in the camera frame.
+
+    `perception`, a new one, is left as it is after the last frame, for the second pass.
+    """
+    state = perception or Perception(config)
     servo = Servo(config.servo)
     perceived: Delayed[Any] = Delayed(config.schedule.perception_latency_s)
     proposed: Delayed[Any] = Delayed(config.schedule.grasps_latency_s)
@@ -66,7 +71,7 @@ def replay(trial: Trial, config: Config) -> Iterator[Step]:
         _control(frame, T_base_camera, usable, proposed, servo, row, config)
         clock.lap("control")
         shown = seen.T_camera_model if row.get("model_px") is not None else None
-        yield Step(frame, row, clock.seconds, seen.tracked, seen.model, shown)
+        yield Step(frame, row, clock.seconds, seen.tracked, seen.model, shown, T_base_camera, seen.accepted)
 
 
 def _control(

@@ -6,6 +6,8 @@ All calls into rerun's API stand here: it changes with every release. Images go 
 from __future__ import annotations
 
 import hashlib
+from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +18,33 @@ import rerun.blueprint as rrb
 
 from dgeval.config import Config
 from dgeval.geometry import Array, transform
+from dgeval.hindsight import Hindsight, nearest_link
 from dgeval.recording.description import LinkShape
 from dgeval.recording.trials import Trial
 from dgeval.replay import Step
 from dgeval.stages.self_filter import Hand
+from dgeval.verdict.judge import Judgement
 
 TIMELINE = "time"
-# The viewer can't be told a moment to open at, but it opens at the end of a timeline it follows. So what happens up to
-# the decisive moment stands on a second timeline as well, and that one is followed.
+# The viewer can't be told a moment to open at, but it opens at the end of a timeline it follows. So the last seconds up to
+# the decisive moment, which is known at the end only, stand on a second timeline as well, and that one is followed.
 DECISIVE = "up to the decisive moment"
-OBJECT, HAND, GRASP = (240, 170, 40), (120, 130, 145), (60, 180, 90)
+BEFORE_S, EVERY, KEPT = 2.0, 3, 400  # of that timeline: its length, every n-th frame, and frames kept to choose from
+OBJECT, HAND, GRASP, OFFENDING = (240, 170, 40), (120, 130, 145), (60, 180, 90), (230, 40, 40)
 STATES = {"tracked": "tracked", "lost": "lost", "not_started": "not started"}
+
+
+@dataclass(frozen=True)
+class _Moment:
+    """What of a frame is drawn again on the second timeline; the image as it was written."""
+
+    t_ns: int
+    image: rr.EncodedImage
+    box: rr.Boxes2D | None
+    hand: Hand | None
+    T_base_camera: Array
+    T_base_model: Array | None
+    row: dict[str, Any]
 
 
 class ReviewWriter:
@@ -41,6 +59,8 @@ class ReviewWriter:
         self._rec.set_log_time_enabled(False)
         self._rec.set_log_tick_enabled(False)
         self._rec.save(path)
+        self._moments: deque[_Moment] = deque(maxlen=KEPT)
+        self._drawn: set[str] = set()
         self._state: str | None = None
         self._model_size = -1
         self._first_lost_ns: int | None = None
@@ -61,19 +81,13 @@ class ReviewWriter:
             self._rec.log("events", rr.TextLog(f"{event.kind} {event.fields or ''}".strip()))
 
     def _at(self, t_ns: int) -> None:
-        seconds = (t_ns - self._start_ns) * 1e-9
-        self._rec.set_time(TIMELINE, duration=seconds)
-        until = self._trial.event_ns("close") or self._first_lost_ns
-        if until is None or t_ns <= until:
-            self._rec.set_time(DECISIVE, duration=seconds)
-        else:
-            self._rec.disable_timeline(DECISIVE)
+        self._rec.set_time(TIMELINE, duration=(t_ns - self._start_ns) * 1e-9)
 
     def add(self, step: Step) -> None:
         """One frame: image with box, mask outline and projected model; the scene; the plots; the phase."""
         frame, row, rec = step.frame, step.row, self._rec
         self._at(frame.t_ns)
-        self._log_images(step)
+        image, box = self._log_images(step)
         T_base_camera = frame.T_base_camera if frame.T_base_camera is not None else np.eye(4)
         rec.log("world/camera", _transform(T_base_camera))
         if row["tracking"] != self._state:
@@ -102,19 +116,27 @@ class ReviewWriter:
             self._log_axes("world/grasp", row, "grasp", GRASP)
         if row.get("hand_px") is not None:
             self._log_axes("world/palm", row, "hand", HAND)
+        self._log_series(row)
+        close_ns = self._trial.event_ns("close")
+        if close_ns is None or frame.t_ns <= close_ns:
+            T_base_model = None if step.T_camera_model is None else T_base_camera @ step.T_camera_model
+            self._moments.append(_Moment(frame.t_ns, image, box, frame.hand, T_base_camera, T_base_model, row))
+
+    def _log_series(self, row: dict[str, Any]) -> None:
         for entity, names in SERIES.items():
             values = [row.get(name) for name in names.values()]
             if any(v is not None for v in values):
-                rec.log(entity, rr.Scalars([np.nan if v is None else float(v) for v in values]))
+                self._rec.log(entity, rr.Scalars([np.nan if v is None else float(v) for v in values]))
 
-    def _log_images(self, step: Step) -> None:
+    def _log_images(self, step: Step) -> tuple[rr.EncodedImage, rr.Boxes2D | None]:
         frame, row, rec = step.frame, step.row, self._rec
         image = "world/camera/colour"
         data = frame.colour_file
         if data is None:
             quality = [cv2.IMWRITE_JPEG_QUALITY, self._config.review.jpeg_quality]
             data = cv2.imencode(".jpg", frame.colour[:, :, ::-1], quality)[1].tobytes()
-        rec.log(image, rr.EncodedImage(contents=data, media_type="image/png" if data[:4] == b"\x89PNG" else "image/jpeg"))
+        encoded = rr.EncodedImage(contents=data, media_type="image/png" if data[:4] == b"\x89PNG" else "image/jpeg")
+        rec.log(image, encoded)
         self._image_bytes += len(data)
         if frame.index % self._config.review.depth_every == 0:
             # half size: depth is here to be looked at, the tables hold the numbers
@@ -125,10 +147,11 @@ class ReviewWriter:
             rec.log(f"{image}/box", rr.Clear(recursive=False))
             rec.log(f"{image}/mask", rr.Clear(recursive=False))
             rec.log(f"{image}/model", rr.Clear(recursive=False))
-            return
+            return encoded, None
         x0, y0, x1, y1 = step.tracked.box
         colour = OBJECT if not row.get("predicted") else (220, 60, 50)
-        rec.log(f"{image}/box", rr.Boxes2D(array=[x0, y0, x1, y1], array_format=rr.Box2DFormat.XYXY, colors=colour))
+        drawn = rr.Boxes2D(array=[x0, y0, x1, y1], array_format=rr.Box2DFormat.XYXY, colors=colour)
+        rec.log(f"{image}/box", drawn)
         if step.tracked.mask is not None and step.tracked.window is not None:
             found = cv2.findContours(step.tracked.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)[0]
             corner = np.array(step.tracked.window[:2])
@@ -140,42 +163,82 @@ class ReviewWriter:
             rec.log(
                 f"{image}/model", rr.Points2D(frame.camera.project(points).astype(np.float32), colors=(80, 200, 255), radii=0.8)
             )
+        return encoded, drawn
 
     def _log_hand(self, hand: Hand, T_base_camera: Array) -> None:
         for i, (shape, T_camera_shape) in enumerate(hand):
             entity = f"world/hand/{shape.link}/{i}"
             self._rec.log(entity, _transform(T_base_camera @ T_camera_shape))
             drawn = _solid(shape)
-            if drawn is not None and not self._drawn(entity):
+            if drawn is not None and entity not in self._drawn:
+                self._drawn.add(entity)
                 self._rec.log(entity, drawn, static=True)
-
-    def _drawn(self, entity: str) -> bool:
-        seen: set[str] = self.__dict__.setdefault("_seen_entities", set())
-        if entity in seen:
-            return True
-        seen.add(entity)
-        return False
 
     def _log_axes(self, entity: str, row: dict[str, Any], prefix: str, colour: tuple[int, int, int]) -> None:
         at = [row[f"{prefix}_p{a}"] for a in "xyz"]
         q = [row[f"{prefix}_q{a}"] for a in "xyzw"]
         self._rec.log(entity, rr.Transform3D(translation=at, quaternion=q))
-        if not self._drawn(entity):
+        if entity not in self._drawn:
+            self._drawn.add(entity)
             axes = rr.Arrows3D(vectors=0.05 * np.eye(3), colors=[(220, 60, 60), colour, (60, 90, 220)], radii=0.0015)
             self._rec.log(f"{entity}/axes", axes, static=True)
 
-    def close(self, path: Path) -> dict[str, int]:
-        """Add the blueprint, write the footer, rename. Gives the file's bytes and those of the images as recorded."""
-        close = self._trial.event_ns("close")
-        if close is not None or self._first_lost_ns is not None:
-            self._at(close or self._first_lost_ns or 0)
-            what = "the hand closes" if close is not None else "the target is lost for the first time"
-            self._rec.log("events", rr.TextLog(f"decisive moment: {what}; timeline `{TIMELINE}` goes on", level="WARN"))
+    def close(self, path: Path, hindsight: Hindsight | None, judgement: Judgement) -> dict[str, int]:
+        """Add what hindsight says and the blueprint, rename. Gives the file's bytes and those of the images as recorded."""
+        decisive = judgement.decisive_ns or self._first_lost_ns
+        evidence = str(judgement.columns.get("evidence", ""))
+        if hindsight is not None:
+            self._log_hindsight(hindsight, judgement.link, decisive)
+        if decisive is None and self._moments:
+            decisive = self._moments[-1].t_ns
+        if decisive is not None:
+            self._at(decisive)
+            self._rec.log("events", rr.TextLog(f"decisive moment: {evidence}; timeline `{TIMELINE}` goes on", level="WARN"))
+            self._rec.reset_time()
+            self._again(decisive, evidence)
         self._rec.send_blueprint(_blueprint())
         self._rec.flush()
         self._rec.disconnect()
         self._path.replace(path)
         return {"bytes": path.stat().st_size, "image_bytes": self._image_bytes}
+
+    def _log_hindsight(self, hindsight: Hindsight, link: str | None, decisive_ns: int | None) -> None:
+        """The free path, where the object was seen, and at the decisive moment the link nearest to it with its distance."""
+        rec = self._rec
+        times = [m.t_ns for m in self._moments] or [s.t_ns for s in hindsight.sightings]
+        centres = [transform(hindsight.path.at(t), hindsight.path.centroid[None])[0] for t in times]
+        rec.log("world/hindsight/free path", rr.LineStrips3D([centres], colors=OBJECT, radii=0.001), static=True)
+        seen = [transform(s.T_base_model, hindsight.path.centroid[None])[0] for s in hindsight.sightings]
+        rec.log("world/hindsight/sightings", rr.Points3D(seen, colors=(90, 160, 250), radii=0.002), static=True)
+        if decisive_ns is None:
+            return
+        step = max(1, len(hindsight.points) // self._config.review.cloud_points)
+        points = transform(hindsight.path.at(decisive_ns), hindsight.points[::step])
+        rec.log("world/hindsight/object", rr.Points3D(points.astype(np.float32), radii=0.001, colors=OFFENDING), static=True)
+        near = nearest_link(self._trial, decisive_ns, points, link)
+        if near is not None:
+            name, distance, a, b = near
+            label = f"{name}: {distance * 1000:.0f} mm"
+            line = rr.LineStrips3D([[a, b]], colors=OFFENDING, radii=0.002, labels=label)
+            rec.log("world/hindsight/distance", line, static=True)
+                "world/hindsight/distance", rr.LineStrips3D([[a, b]], colors=OFFENDING, radii=0.002, labels=label), static=True
+            )
+
+    def _again(self, decisive_ns: int, evidence: str) -> None:
+        """The last seconds up to the decisive moment, on the timeline that is followed."""
+        rec = self._rec
+        shown = [m for m in self._moments if decisive_ns - BEFORE_S * 1e9 <= m.t_ns <= decisive_ns] or list(self._moments)[-1:]
+        for m in shown[::-EVERY][::-1]:
+            rec.set_time(DECISIVE, duration=(m.t_ns - self._start_ns) * 1e-9)
+            rec.log("world/camera/colour", m.image)
+            rec.log("world/camera/colour/box", rr.Clear(recursive=False) if m.box is None else m.box)
+            rec.log("world/camera", _transform(m.T_base_camera))
+            if m.hand is not None:
+                self._log_hand(m.hand, m.T_base_camera)
+            if m.T_base_model is not None:
+                rec.log("world/object", _transform(m.T_base_model))
+            self._log_series(m.row)
+        rec.log("events", rr.TextLog(evidence, level="WARN"))
 
 
 SERIES: dict[str, dict[str, str]] = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 import traceback
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -18,11 +19,13 @@ from dgeval import __version__
 from dgeval.config import Config
 from dgeval.determinism import fingerprint, limit_threads
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError
+from dgeval.hindsight import Seen, Surface, look_back, seen_of
 from dgeval.recording.containers import describe
 from dgeval.recording.trials import Trial, TrialSpec, open_trial
 from dgeval.replay import replay
 from dgeval.schema import FRAMES, FRAMES_ADDED, SCHEMA_VERSION, TIMINGS, TRIALS, StageDigests, arrow_schema, arrow_table
-from dgeval.verdict.outcome import stated_outcome
+from dgeval.stages.perception import Perception
+from dgeval.verdict.judge import Judgement, judge
 
 ROWS_PER_GROUP = 500
 # Makes the object that writes a trial's review recording: add(step) per frame, close(path) at the end.
@@ -103,13 +106,16 @@ def _replay_trial(
     t_execute_ns = None
     model = None
     last_ns = trial.pairs[-1][0]
+    perception = Perception(config)
+    seen: list[Seen] = []
+    surface = Surface()
     frames_path = out / "frames" / f"{name}.parquet"
     timings_path = out / "trials" / f"{name}.timings.parquet"
     with (
         _Table(frames_path, (*FRAMES, *FRAMES_ADDED)) as frames_table,
         _Table(timings_path, TIMINGS) as timings_table,
     ):
-        for step in replay(trial, config):
+        for step in replay(trial, config, perception):
             digests.add(step.row)
             frames_table.add(step.row)
             for stage, seconds in step.seconds.items():
@@ -122,15 +128,25 @@ def _replay_trial(
                 t_execute_ns = step.frame.t_ns
             model = step.model if step.model is not None else model
             last_ns = step.frame.t_ns
+            if (known := seen_of(step)) is not None:
+                seen.append(known)
+            if step.accepted and step.model is not None:
+                surface.add(step.model)
             if view is not None:
                 view.add(step)
             if progress is not None:
                 progress(step.frame.index + 1, len(trial.pairs))
-    sizes = view.close(out / "review" / f"{name}.rrd") if view is not None else None
+        begun = time.perf_counter()
+        hindsight = look_back(trial, seen, surface, perception, config)
+        looked = time.perf_counter()
+        judgement = judge(trial, hindsight, config)
+        for stage, seconds in (("hindsight", looked - begun), ("verdict", time.perf_counter() - looked)):
+            timings_table.add({"trial": spec.id, "frame": counts["frames"], "stage": stage, "seconds": seconds})
+    sizes = view.close(out / "review" / f"{name}.rrd", hindsight, judgement) if view is not None else None
     if model is not None:
         _write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
-    row, exit_code, messages = _trial_row(trial, config, counts, t_execute_ns, last_ns)
+    row, exit_code, messages = _trial_row(trial, config, counts, t_execute_ns, last_ns, judgement)
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
     _write_atomically(
         mark,
@@ -140,7 +156,7 @@ def _replay_trial(
 
 
 def _trial_row(
-    trial: Trial, config: Config, counts: dict[str, int], t_execute_ns: int | None, last_ns: int
+    trial: Trial, config: Config, counts: dict[str, int], t_execute_ns: int | None, last_ns: int, judgement: Judgement
 ) -> tuple[dict[str, Any], int, list[str]]:
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
@@ -150,9 +166,6 @@ def _trial_row(
     if unmatched and unmatched / seen > config.sync.max_unmatched_share:
         exit_code = EXIT_DATA_LOST
         messages.append(f"{unmatched} of {seen} colour images have no depth image near enough in time")
-    label = spec.label or next((str(e.fields.get("label")) for e in trial.events if e.kind == "label"), None)
-    t_close_ns = trial.event_ns("close")
-    outcome = stated_outcome(label, t_close_ns, bool(trial.damage))
     self_filter = "geometry" if trial.robot.hand_links else ("mask" if trial.static_mask is not None else "none")
     notes = list(trial.notes)
     if counts["no_depth"]:
@@ -183,15 +196,12 @@ def _trial_row(
         "self_filter": self_filter,
         "target_source": "bbox" if spec.bbox is not None else "automatic",
         "t_execute_ns": t_execute_ns,
-        "t_close_ns": t_close_ns,
-        "outcome": outcome.outcome,
-        "outcome_source": outcome.source,
-        "failure_class": outcome.failure_class,
-        "evidence": outcome.evidence,
-        "notes": "; ".join(notes),
+        "t_close_ns": trial.event_ns("close"),
+        "t_decisive_ns": judgement.decisive_ns,
+        "contact_link": judgement.link,
+        "notes": "; ".join([*notes, *judgement.notes]),
+        **judgement.columns,
     }
-    if outcome.failure_class == "unknown":
-        row.update(p_imprecise_pose=0.0, p_collision=0.0, p_timing=0.0, p_unknown=1.0)
     return row, exit_code, messages
 
 

@@ -96,6 +96,8 @@ TRIALS: tuple[Column, ...] = (
     Column("target_source", "str", "", "bbox, manifest or automatic", "trial"),
     Column("t_execute_ns", "int", "ns", "first frame in which the replay would have closed", "trial"),
     Column("t_close_ns", "int", "ns", "recorded close command", "trial"),
+    Column("t_decisive_ns", "int", "ns", "when it was decided: the push, the close, or a good moment that went by", "trial"),
+    Column("contact_link", "str", "", "the link that pushed or first met the object", "trial"),
     Column("outcome", "str", "", "success, failure, no_grasp, incomplete, unknown", "trial"),
     Column("outcome_source", "str", "", "label or inferred", "trial"),
     Column("failure_class", "str", "", "imprecise_pose, collision, timing, unknown; null unless failure", "trial"),

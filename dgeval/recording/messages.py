@@ -97,15 +97,17 @@ def camera_model(message: Any) -> CameraModel:
 
 @dataclass(frozen=True, slots=True)
 class JointSample:
-    """One JointState: positions rad or m by joint name; missing values and those no joint can have are left out."""
+    """One JointState: positions rad or m, efforts Nm or N by joint name; what no joint can have is left out."""
 
     t_ns: int
     positions: dict[str, float]
+    efforts: dict[str, float]
 
 
 def joints_of(message: Any) -> JointSample:
     values = {n: float(v) for n, v in zip(message.name, message.position, strict=False) if abs(v) < 1e6}
-    return JointSample(stamp_ns(message), values)
+    efforts = {n: float(v) for n, v in zip(message.name, message.effort, strict=False) if abs(v) < 1e6}
+    return JointSample(stamp_ns(message), values, efforts)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.errors import Damage, Place, UndecodableError
+from dgeval.geometry import Array
 from dgeval.recording.containers import Opened, RawMessage
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import (
@@ -29,6 +30,7 @@ from dgeval.recording.messages import (
     header_stamp_ns,
     joints_of,
     poses_of,
+    stamp_ns,
 )
 
 SCORE_TOPIC = "/dgeval/belief/score"
@@ -72,6 +74,7 @@ class Scan:
     tf: list[StampedPose] = field(default_factory=list)
     tf_static: list[StampedPose] = field(default_factory=list)
     poses: dict[str, list[StampedPose]] = field(default_factory=lambda: defaultdict(list))
+    velocities: dict[str, list[tuple[int, Array]]] = field(default_factory=lambda: defaultdict(list))
     joints: dict[str, list[JointSample]] = field(default_factory=lambda: defaultdict(list))
     scores: list[tuple[int, float]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
@@ -102,6 +105,11 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 pose = poses_of(opened.decode(message))[0]
                 times.header_ns.append(pose.t_ns)
                 out.poses[message.topic].append(pose)
+            elif topic.type == "geometry_msgs/msg/TwistStamped":
+                twist = opened.decode(message)
+                times.header_ns.append(stamp_ns(twist))
+                linear = twist.twist.linear
+                out.velocities[message.topic].append((times.header_ns[-1], np.array([linear.x, linear.y, linear.z])))
             elif topic.type == "sensor_msgs/msg/CameraInfo":
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
                 matrix = message.data[20:]  # after the stamp: equal bytes need no second look

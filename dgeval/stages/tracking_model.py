@@ -118,6 +118,15 @@ class ModelTracker:
             self._lost_since = frame.t_ns
         return tracked
 
+    def look(self, frame: Frame, model: Model, T_camera_model: Array) -> Tracked:
+        """The model in any frame, from any pose, with the keyframes kept so far; the tracker's own course is not changed."""
+        lost, self._lost_since = self._lost_since, None
+        seen, plane = self._seen, self._plane_model
+        grey = np.asarray(cv2.cvtColor(frame.colour, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+        tracked = self._follow_model(frame, grey, model, T_camera_model)
+        self._lost_since, self._seen, self._plane_model = lost, seen, plane
+        return tracked
+
     # the first frame
 
     def _start(self, frame: Frame, grey: Grey, box: Box) -> Tracked:

@@ -1,30 +1,97 @@
-"""The outcome of a trial as far as the log states it. Inferring it needs the hindsight pass, which is not built yet."""
+"""How a trial ended: an operator's label, else what hand and object say after the lift, else unknown with the reason."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dgeval.taxonomy import FailureClass, Outcome, OutcomeSource
+import numpy as np
+
+from dgeval.geometry import Array, transform
+from dgeval.hindsight import Hindsight, hand_distance
+from dgeval.physics.hand import ACTUATED
+from dgeval.recording.trials import Trial
+from dgeval.taxonomy import Outcome, OutcomeSource
+
+AFTER_S = 1.0  # after the close, from which fingers at rest tell what they hold
+LAST_S = 0.5  # of the log, over which efforts are judged
+HELD_NM = 0.15  # mean effort of a finger's flexion joints that presses on something; noise is ten times smaller
+LEFT_BEHIND_M, CARRIED_M = 0.05, 0.05  # m: rise below which a sighted object was left, above which it came along
 
 
 @dataclass(frozen=True, slots=True)
-class StatedOutcome:
+class Ended:
+    """Outcome with its source and, in words, why; `p_success` where it was inferred."""
+
     outcome: Outcome
     source: OutcomeSource | None
-    failure_class: FailureClass | None
     evidence: str
+    p_success: float | None = None
 
 
-def stated_outcome(label: str | None, t_close_ns: int | None, damaged: bool) -> StatedOutcome:
-    """An operator's label wins; without a close command there was no grasp; the rest is unknown, with the reason."""
+def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
+    """A label wins; no close: no grasp; a log that ends with the close says nothing; fingers and sightings say the rest.
+
+    A trial in which a robot's own grasp attempt ran out without a close is a failure: the log says that there was one by
+    the beliefs it recorded about a grasp.
+    """
+    spec = trial.spec
+    label = spec.label or next((str(e.fields.get("label")) for e in trial.events if e.kind == "label"), None)
     if label in ("success", "failure"):
-        failed = label == "failure"
-        why = "an operator's label says so"
-        if failed:
-            why += "; the cause is unknown: this version has no hindsight pass"
-        return StatedOutcome("failure" if failed else "success", "label", "unknown" if failed else None, why)
-    if damaged and t_close_ns is None:
-        return StatedOutcome("incomplete", None, None, "the recording is damaged and what can be read of it has no close")
-    if t_close_ns is None:
-        return StatedOutcome("no_grasp", "inferred", None, "the log has no close command")
-    return StatedOutcome("unknown", None, None, "the hand closes, but no label says how it ended, and nothing infers it yet")
+        return Ended("success" if label == "success" else "failure", "label", "an operator's label says so")
+    close_ns = trial.event_ns("close")
+    if close_ns is None:
+        if trial.damage:
+            return Ended("incomplete", None, "the recording is damaged and what can be read of it has no close")
+        if trial.scan.poses.get("/dgeval/belief/grasp") and trial.event_ns("trial_end") is not None:
+            return Ended("failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0)
+        return Ended("no_grasp", "inferred", "the log has no close command")
+    last_ns = max([trial.pairs[-1][0], *(s.t_ns for s in trial.scan.joints.get(trial.roles.hand_joints or "", [])[-1:])])
+    if (last_ns - close_ns) * 1e-9 < AFTER_S:
+        return Ended("unknown", None, f"the log ends {max(0.0, (last_ns - close_ns) * 1e-9):.1f} s after the close")
+    fingers = _pressing(trial, last_ns)
+    seen = _seen_after(trial, hindsight, close_ns)
+    if fingers is None and seen is None:
+        return Ended("unknown", None, "neither efforts nor a sighting after the lift say how it ended")
+    if fingers is not None and seen is not None and fingers[0] != seen[0]:
+        return Ended("unknown", None, f"{fingers[1]}, but {seen[1]}")
+    held = (fingers or seen)[0]  # type: ignore[index]
+    said = " and ".join(s[1] for s in (fingers, seen) if s is not None)
+    confident = 0.99 if fingers is not None and seen is not None else 0.97 if fingers is not None else 0.9
+    return Ended("success" if held else "failure", "inferred", said, confident if held else 1 - confident)
+
+
+def _pressing(trial: Trial, last_ns: int) -> tuple[bool, str] | None:
+    """Whether fingers still press on something at the end; None without efforts of a known hand."""
+    samples = [s for s in trial.scan.joints.get(trial.roles.hand_joints or "", []) if s.t_ns >= last_ns - round(LAST_S * 1e9)]
+    flexion = [n for n in ACTUATED if not n.endswith("_0")]
+    rows = [[s.efforts[n] for n in flexion] for s in samples if all(n in s.efforts for n in flexion)]
+    if len(rows) < 5:
+        return None
+    effort: Array = np.abs(np.mean(rows, axis=0)).reshape(5, 2).max(axis=1)
+    pressing = int((effort > HELD_NM).sum())
+    listed = ", ".join(f"{v:.2f}" for v in effort)
+    if pressing >= 2:
+        return True, f"{pressing} fingers still press at the end ({listed} Nm)"
+    return False, f"the fingers hold nothing at the end ({listed} Nm)"
+
+
+def _seen_after(trial: Trial, hindsight: Hindsight | None, close_ns: int) -> tuple[bool, str] | None:
+    """What registered sightings of the last part of the log say: left on the support, or up with the hand."""
+    if hindsight is None or hindsight.support is None:
+        return None
+    later = [s for s in hindsight.sightings if s.t_ns > close_ns + 1_500_000_000 and s.by == "registration"]
+    if len(later) < 3:
+        return None
+    centre = hindsight.path.centroid
+    rest = float(hindsight.support.height((hindsight.path.at(close_ns) @ np.append(centre, 1.0))[:3]))
+    rises = [float(hindsight.support.height((s.T_base_model @ np.append(centre, 1.0))[:3])) - rest for s in later]
+    rise = float(np.median(rises))
+    at = (later[-1].t_ns - close_ns) * 1e-9
+    if rise < LEFT_BEHIND_M:
+        near = hand_distance(trial, later[-1].t_ns, transform(later[-1].T_base_model, centre[None]))
+        if near is not None and near[0] < 0.04:
+            return None
+        return False, f"the object is seen left on its support {at:.1f} s after the close"
+    if rise > CARRIED_M:
+        return True, f"the object is seen {rise * 100:.0f} cm up, {at:.1f} s after the close"
+    return None

@@ -1,0 +1,411 @@
+"""The second pass: the same log with the future allowed.
+
+The final model is looked for again in every frame in which the causal pass did not find it, from where the smoothed path
+says it must be: through the blind gap in colour, after the close, and after the lift. What the causal pass accepted and
+what this finds is smoothed in one piece up to the first contact; beyond it the object's free path is extrapolated, and
+sightings say what it really did. Nothing here reads the truth or the robot's beliefs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from filterpy.common import Q_discrete_white_noise
+from filterpy.kalman import KalmanFilter
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from dgeval.config import Config
+from dgeval.geometry import Array, invert, rotation_angle, transform
+from dgeval.recording.frame import Frame
+from dgeval.recording.trials import Trial
+from dgeval.replay import Step
+from dgeval.stages.perception import Perception
+from dgeval.stages.plane import Plane
+from dgeval.stages.registration import register
+from dgeval.stages.self_filter import signed_distance
+from dgeval.stages.tracking_model import ModelTracker
+from dgeval.stages.types import Model, Observation
+
+GapSided = Literal["none", "one", "two"]
+By = Literal["registration", "depth", "colour"]
+ACCELERATIONS = (0.002, 0.05, 0.5)  # m/s^2; the most likely of them describes how smoothly the object moves
+CONTACT_M = 0.006  # m; a hand this near may be pushing: measured clouds are not more exact
+NO_GAP_S = 0.1
+WINDOW_BEFORE_S, WINDOW_AFTER_S = 4.0, 4.0  # around the close, where frames are looked at again
+# m; of one sighting. Registration is precise but wobbles slowly by 1-3 mm as views change: less would be taken for motion
+SIGMA: dict[By, float] = {"registration": 0.002, "depth": 0.004, "colour": 0.004}
+CELL = 0.003  # m; of the surface that is kept
+FIRST_S = 0.5  # from which the path is begun
+OFF_PATH_M, OFF_PATH_RAD, OFF_PATH_COUNT = 0.006, 0.12, 3  # sightings in a row this far off the path so far
+PUSHING_M = 0.030  # m; hand to the sighted object, when it leaves its path
+MIN_COLOUR = 12  # features
+
+
+class Surface:
+    """All that was ever fused, thinned by cells instead of at random, so that what was seen early is not forgotten.
+
+    The paper's model keeps a random subset: after some tens of near frames it holds little but the last view.
+    """
+
+    def __init__(self) -> None:
+        self._cells = np.zeros(0, dtype=np.int64)
+        self._sums = np.zeros((0, 7))  # position, normal, count
+
+    def add(self, model: Model) -> None:
+        """Merge a model cloud; call with accepted frames only."""
+        at = np.floor(model.points / CELL).astype(np.int64) + 2**20
+        cells, inverse = np.unique((at[:, 0] << 42) | (at[:, 1] << 21) | at[:, 2], return_inverse=True)
+        sums = np.zeros((len(cells), 7))
+        np.add.at(sums, inverse, np.column_stack([model.points, model.normals, np.ones(len(at))]))
+        both = np.union1d(self._cells, cells)
+        merged = np.zeros((len(both), 7))
+        merged[np.searchsorted(both, self._cells)] = self._sums
+        merged[np.searchsorted(both, cells)] += sums
+        self._cells, self._sums = both, merged
+
+    def model(self) -> Model | None:
+        """Points and unit normals of the cells; None where nothing was added."""
+        if not len(self._cells):
+            return None
+        points = self._sums[:, :3] / self._sums[:, 6:]
+        normals = self._sums[:, 3:6]
+        return Model(points, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One frame of the causal pass.
+
+    T_camera_model: the accepted one, or None; T_tracked: the tracker's own word where it had the target, by depth or by
+    `n_features` in colour. support: what the object stands on, base frame.
+    """
+
+    index: int
+    t_ns: int
+    T_base_camera: Array
+    T_camera_model: Array | None
+    T_tracked: Array | None
+    n_features: int
+    n_depth: int
+    support: Plane | None
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Where the object was at a time: T_base_model; `by` an accepted registration, the tracker's alignment to depth, colour.
+
+    `again`: found by the second pass.
+    """
+
+    t_ns: int
+    T_base_model: Array
+    by: By
+    again: bool
+
+
+@dataclass(frozen=True)
+class Path:
+    """The undisturbed path of the model's centroid: t_ns (n,), position and velocity (n, 3), sd (n,) m of the position.
+
+    Beyond both ends it goes on at constant velocity. R (3, 3): the model's orientation in the base frame, sd_angle rad.
+    """
+
+    t_ns: NDArray[np.int64]
+    position: Array
+    velocity: Array
+    sd: Array
+    sd_velocity: float
+    R: Array
+    sd_angle: float
+    centroid: Array
+
+    def at(self, t_ns: int) -> Array:
+        """T_base_model."""
+        i = int(np.clip(np.searchsorted(self.t_ns, t_ns) - 1, 0, len(self.t_ns) - 1))
+        if self.t_ns[0] < t_ns < self.t_ns[-1]:
+            share = (t_ns - self.t_ns[i]) / (self.t_ns[i + 1] - self.t_ns[i])
+            centre = (1 - share) * self.position[i] + share * self.position[i + 1]
+        else:
+            i = 0 if t_ns <= self.t_ns[0] else len(self.t_ns) - 1
+            centre = self.position[i] + self.velocity[i] * (t_ns - self.t_ns[i]) * 1e-9
+        T = np.eye(4)
+        T[:3, :3] = self.R
+        T[:3, 3] = centre - self.R @ self.centroid
+        return T
+
+    def sd_at(self, t_ns: int) -> float:
+        """Standard deviation of the position, m, growing outside with the velocity's."""
+        i = int(np.argmin(np.abs(self.t_ns - t_ns)))
+        outside = max(0, t_ns - int(self.t_ns[-1]), int(self.t_ns[0]) - t_ns) * 1e-9
+        return float(np.hypot(self.sd[i], self.sd_velocity * outside))
+
+
+@dataclass(frozen=True)
+class Hindsight:
+    """What the whole log says about the object.
+
+    contact_ns: first time before the close at which the hand was within CONTACT_M of it on its free path, and the link.
+    pushed_ns: when it was seen to leave that path with the hand at it. n_registered: sightings by an accepted registration
+    up to the close. gap_s: from the last sighting to the close; None
+    without a close.
+    """
+
+    path: Path
+    sightings: tuple[Sighting, ...]
+    points: Array
+    support: Plane | None
+    contact_ns: int | None
+    contact_link: str | None
+    pushed_ns: int | None
+    n_registered: int
+    gap_s: float | None
+    gap_sided: GapSided
+    notes: tuple[str, ...]
+
+
+def seen_of(step: Step) -> Seen | None:
+    """What the second pass needs of a frame of the first; None where the camera's pose is not known."""
+    if step.T_base_camera is None:
+        return None
+    plane = step.tracked.plane
+    support = None if plane is None else plane.moved(step.T_base_camera)
+    accepted = step.T_camera_model if step.accepted else None
+    tracked = step.tracked
+    n_features = 0 if tracked.features is None else len(tracked.features.points)
+    T_tracked = tracked.T_camera_model if tracked.state == "tracked" else None
+    frame = step.frame
+    return Seen(frame.index, frame.t_ns, step.T_base_camera, accepted, T_tracked, n_features, tracked.mask_area, support)
+
+
+def look_back(trial: Trial, seen: list[Seen], surface: Surface, perception: Perception, config: Config) -> Hindsight | None:
+    """Second pass over one trial. None where the causal pass never had a model and a pose to start from."""
+    model = surface.model()
+    accepted = [s for s in seen if s.T_camera_model is not None]
+    if model is None or not accepted:
+        return None
+    centroid = model.points.mean(axis=0)
+    sightings = _causal(seen, config)
+    end_ns = trial.event_ns("close") or seen[-1].t_ns
+    path, _ = _free_path(trial, sightings, model, centroid, end_ns)
+    support = _support(seen)
+
+    tracker = perception.tracker if isinstance(perception.tracker, ModelTracker) else ModelTracker(config)
+    known = {s.t_ns for s in sightings}
+    wanted = {
+        s.index: s for s in seen if s.t_ns not in known and -WINDOW_BEFORE_S <= (s.t_ns - end_ns) * 1e-9 <= WINDOW_AFTER_S
+    }
+    found = [
+        sighting
+        for frame in trial.frames()
+        if frame.index in wanted
+        and (sighting := _look(frame, wanted[frame.index], tracker, model, path, trial, end_ns, config)) is not None
+    ]
+    sightings = sorted([*sightings, *found], key=lambda s: s.t_ns)
+    path, pushed_ns = _free_path(trial, sightings, model, centroid, end_ns)
+    contact = _first_contact(trial, seen, path, model, end_ns)
+    notes = [] if support is not None else ["hindsight: no support plane was seen"]
+    close_ns = trial.event_ns("close")
+    gap, sided = _gap(sightings, close_ns)
+    contact_ns, link = contact or (None, None)
+    registered = sum(s.by == "registration" and s.t_ns <= end_ns for s in sightings)
+    return Hindsight(
+        path, tuple(sightings), model.points, support, contact_ns, link, pushed_ns, registered, gap, sided, tuple(notes)
+    )
+
+
+def _causal(seen: list[Seen], config: Config) -> list[Sighting]:
+    """What the first pass saw, the best word on each frame."""
+    out = []
+    for s in seen:
+        if s.T_camera_model is not None:
+            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_camera_model, "registration", False))
+        elif s.T_tracked is not None and s.n_depth >= config.observation.min_points:
+            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_tracked, "depth", False))
+        elif s.T_tracked is not None and s.n_features >= MIN_COLOUR:
+            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_tracked, "colour", False))
+    return out
+
+
+def _free_path(trial: Trial, sightings: list[Sighting], model: Model, centroid: Array, end_ns: int) -> tuple[Path, int | None]:
+    """The undisturbed path, and when the object left it with the hand at it (the change point), or None.
+
+    Sightings are taken in one after the other. Where several in a row lie off the path so far, it was a push if the hand
+    is at the object then, else its own motion, which the path follows.
+    """
+    before = [s for s in sightings if s.t_ns <= end_ns] or sightings[:1]
+    first = max(2, sum((s.t_ns - before[0].t_ns) * 1e-9 < FIRST_S for s in before))
+    used, off = before[:first], list[Sighting]()
+    path = smooth(used, centroid)
+    for s in before[first:]:
+        there = path.at(s.t_ns)
+        apart = float(np.linalg.norm(transform(s.T_base_model, centroid[None]) - transform(there, centroid[None])))
+        turned = rotation_angle(s.T_base_model[:3, :3].T @ there[:3, :3])
+        if apart < OFF_PATH_M + 2 * path.sd_at(s.t_ns) and turned < OFF_PATH_RAD + min(2 * path.sd_angle, 0.05):
+            used, off = [*used, *off, s], []
+            if len(used) % 5 == 0 or len(used) < 15:
+                path = smooth(used, centroid)
+            continue
+        off.append(s)
+        if len(off) == OFF_PATH_COUNT:
+            step = max(1, len(model.points) // 400)
+            near = [hand_distance(trial, o.t_ns, transform(o.T_base_model, model.points[::step])) for o in off]
+            if any(n is not None and n[0] < PUSHING_M for n in near):
+                return smooth(used, centroid), off[0].t_ns
+            used, off = [*used, *off], []
+            path = smooth(used, centroid)
+    return smooth(used, centroid), None
+
+
+def smooth(sightings: list[Sighting], centroid: Array) -> Path:
+    """Rauch-Tung-Striebel smoothing of the model's centroid, and its mean orientation.
+
+    How smoothly the object moves is found out: of ACCELERATIONS the one that makes the sightings most likely.
+    """
+    t_ns = np.array([s.t_ns for s in sightings], dtype=np.int64)
+    t = (t_ns - t_ns[0]) * 1e-9
+    places = np.array([transform(s.T_base_model, centroid[None])[0] for s in sightings])
+    sigma = np.array([SIGMA[s.by] for s in sightings])
+    best = max((_rts(t, places, sigma, a) for a in ACCELERATIONS), key=lambda r: r[0])
+    _, states, covariances = best
+    turns = Rotation.from_matrix(np.array([s.T_base_model[:3, :3] for s in sightings]))
+    mean = turns.mean(weights=1 / sigma**2)
+    spread = (mean.inv() * turns).magnitude()
+    return Path(
+        t_ns,
+        states[:, :3],
+        states[:, 3:],
+        np.sqrt(np.array([np.linalg.eigvalsh(P[:3, :3])[-1] for P in covariances])),
+        float(np.sqrt(np.linalg.eigvalsh(covariances[-1][3:, 3:])[-1])),
+        mean.as_matrix(),
+        float(np.median(spread)),
+        centroid,
+    )
+
+
+def _rts(t: Array, places: Array, sigma: Array, acceleration: float) -> tuple[float, Array, Array]:
+    """Log likelihood, smoothed states (n, 6) and covariances (n, 6, 6) of a constant-velocity model."""
+    f = KalmanFilter(dim_x=6, dim_z=3)
+    f.x = np.concatenate([places[0], np.zeros(3)]).reshape(6, 1)
+    f.P = np.diag([sigma[0] ** 2] * 3 + [0.25] * 3)
+    f.H = np.hstack([np.eye(3), np.zeros((3, 3))])
+    states, covariances = [f.x[:, 0].copy()], [f.P.copy()]
+    transitions, noises = [], []
+    likelihood = 0.0
+    for k in range(1, len(t)):
+        dt = t[k] - t[k - 1]
+        F = np.eye(6)
+        F[:3, 3:] = np.eye(3) * dt
+        Q = Q_discrete_white_noise(2, dt, acceleration**2, block_size=3, order_by_dim=False) + 1e-14 * np.eye(6)
+        f.predict(F=F, Q=Q)
+        f.update(places[k].reshape(3, 1), R=np.eye(3) * sigma[k] ** 2)
+        likelihood += float(f.log_likelihood)
+        states.append(f.x[:, 0].copy())
+        covariances.append(f.P.copy())
+        transitions.append(F)
+        noises.append(Q)
+    if len(t) > 1:
+        # filterpy's Fs[k + 1] leads from k to k + 1
+        xs, Ps, _, _ = f.rts_smoother(
+            np.array(states)[:, :, None], np.array(covariances), [transitions[0], *transitions], [noises[0], *noises]
+        )
+        return likelihood, np.asarray(xs[:, :, 0]), np.asarray(Ps)
+    return likelihood, np.array(states), np.array(covariances)
+
+
+def _support(seen: list[Seen]) -> Plane | None:
+    """The surface the object stands on, base frame: the median of what the frames say."""
+    planes = [s.support for s in seen if s.support is not None]
+    if not planes:
+        return None
+    n = np.median([p.n for p in planes], axis=0)
+    n /= np.linalg.norm(n)
+    near = [p for p in planes if p.n @ n > 0.98]
+    if not near:
+        return None
+    return Plane(n, float(np.median([p.d for p in near])), float(len(near) / len(planes)))
+
+
+def hand_distance(trial: Trial, t_ns: int, points_base: Array) -> tuple[float, str] | None:
+    """Least signed distance m of the recorded hand to points (n, 3), base frame, and the link; None without hand geometry."""
+    near = nearest_link(trial, t_ns, points_base, None)
+    return None if near is None else (near[1], near[0])
+
+
+def nearest_link(trial: Trial, t_ns: int, points_base: Array, link: str | None) -> tuple[str, float, Array, Array] | None:
+    """Nearest link (or how near the named one is): name, signed distance m, its middle, nearest point (base frame)."""
+    shapes = trial.robot.hand_shapes(t_ns)
+    T_base_camera = trial.robot.T_base_camera(t_ns)
+    if shapes is None or T_base_camera is None:
+        return None
+    best: tuple[str, float, Array, Array] | None = None
+    in_camera = transform(invert(T_base_camera), points_base)
+    middle = in_camera.mean(axis=0)
+    for shape, T_camera_shape in shapes:
+        if link is not None and shape.link != link:
+            continue
+        if float(np.linalg.norm(middle - T_camera_shape[:3, 3])) > 0.4 + shape.bound:
+            continue
+        d = signed_distance(shape, transform(invert(T_camera_shape), in_camera))
+        k = int(np.argmin(d))
+        if best is None or d[k] < best[1]:
+            best = shape.link, float(d[k]), transform(T_base_camera, T_camera_shape[None, :3, 3])[0], points_base[k]
+    return best
+
+
+def _first_contact(trial: Trial, seen: list[Seen], path: Path, model: Model, end_ns: int) -> tuple[int, str] | None:
+    """First frame up to the close in which the hand is within CONTACT_M of the object on its free path."""
+    step = max(1, len(model.points) // 400)
+    for s in seen:
+        if s.t_ns > end_ns:
+            break
+        if (end_ns - s.t_ns) * 1e-9 > WINDOW_BEFORE_S:
+            continue
+        near = hand_distance(trial, s.t_ns, transform(path.at(s.t_ns), model.points[::step]))
+        if near is not None and near[0] < CONTACT_M:
+            return s.t_ns, near[1]
+    return None
+
+
+def _look(
+    frame: Frame, seen: Seen, tracker: ModelTracker, model: Model, path: Path, trial: Trial, end_ns: int, config: Config
+) -> Sighting | None:
+    """The model in one frame, from each place it may be at; depth needs the gate's fitness, colour enough features."""
+    priors = [path.at(frame.t_ns)]
+    palm, palm_then = trial.robot.T_base_palm(frame.t_ns), trial.robot.T_base_palm(end_ns)
+    if frame.t_ns > end_ns and palm is not None and palm_then is not None:
+        priors.append(palm @ invert(palm_then) @ path.at(end_ns))
+    T_camera_base = invert(seen.T_base_camera)
+    for prior in priors:
+        tracked = tracker.look(frame, model, T_camera_base @ prior)
+        if tracked.state != "tracked" or tracked.T_camera_model is None:
+            continue
+        T = tracked.T_camera_model
+        n_features = 0 if tracked.features is None else len(tracked.features.points)
+        if tracked.mask is not None and tracked.window is not None and tracked.mask_area >= config.observation.min_points:
+            v, u = np.nonzero(tracked.mask)
+            step = max(1, len(v) // config.observation.max_points)
+            u, v = u[::step] + tracked.window[0], v[::step] + tracked.window[1]
+            z = frame.depth[v, u].astype(np.float64)
+            points = frame.camera.backproject(u.astype(float), v.astype(float), z)[z > 0]
+            result = register(
+                Observation(points, np.zeros_like(points)), model, T, tracked.features, frame.camera, config.registration
+            )
+            if result.reject_reason is None and result.gate_fitness > config.registration.c_a_f:
+                return Sighting(frame.t_ns, seen.T_base_camera @ result.T_camera_model, "registration", True)
+        if n_features >= MIN_COLOUR:
+            return Sighting(frame.t_ns, seen.T_base_camera @ T, "colour", True)
+    return None
+
+
+def _gap(sightings: list[Sighting], close_ns: int | None) -> tuple[float | None, GapSided]:
+    if close_ns is None:
+        return None, "none"
+    before = [s.t_ns for s in sightings if s.t_ns <= close_ns]
+    after = [s.t_ns for s in sightings if s.t_ns > close_ns]
+    gap = (close_ns - before[-1]) * 1e-9 if before else float("inf")
+    if gap <= NO_GAP_S:
+        return gap, "none"
+    return gap, "two" if after else "one"

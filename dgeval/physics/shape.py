@@ -1,0 +1,131 @@
+"""A solid from a partial cloud, for physics: what stands on its support is filled down to it.
+
+A camera over a table sees tops and some sides. Beneath what it sees stands the object, so points are carried down to the
+support. Round things would become cylinders that way, so a ball is tried first; hollow ones would be closed by a hull, so
+where points lie deep inside the hull the solid is made of columns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from dgeval.geometry import Array
+from dgeval.physics.objects import ObjectModel, Part, at
+from dgeval.physics.texture import Look
+
+LOOK = Look("mottled", (150, 150, 150))
+DENSITY = 350.0  # kg/m^3, of the household objects in SIMULATION section 7 (70 to 900); unknown from a log
+MASS_RANGE = (0.03, 0.60)  # kg
+BALL_RMS, BALL_SHARE = 0.002, 0.9  # m; residual of the best sphere, and share of points within three times that
+CELL, LIKE_HEIGHT = 0.007, 0.008  # m; columns of hollow things, and heights that one column may stand for
+HOLLOW_DEPTH, HOLLOW_SHARE = 0.010, 0.12  # m under the hull's top; share of the footprint's cells that are lower
+
+
+def solid_from_cloud(points: Array, name: str = "cloud") -> tuple[ObjectModel, Array]:
+    """Model and centre (3,) from points (n, 3) m in a frame with z up from the support's surface (z = 0).
+
+    The model's frame has these axes and its origin at the centre, which is over the support by the model's rest height.
+    ValueError where the points span no volume.
+    """
+    inliers = _without_strays(points)
+    ball = _ball(inliers)
+    if ball is not None:
+        centre, radius = ball
+        mass = _mass(4 / 3 * np.pi * radius**3)
+        centre = np.array([centre[0], centre[1], radius])  # it stands on its support
+        return ObjectModel(name, mass, (Part("sphere", np.eye(4), (radius,)),), LOOK, rolls=True), centre
+    parts = _columns(inliers) or (_hull(inliers),)
+    low = np.min([_corner(p, -1) for p in parts], axis=0)
+    high = np.max([_corner(p, 1) for p in parts], axis=0)
+    centre = (low + high) / 2
+    moved = tuple(Part(p.kind, at(*(p.T_object_part[:3, 3] - centre)), p.size, p.vertices) for p in parts)
+    return ObjectModel(name, _mass(sum(p.volume() for p in moved)), moved, LOOK), centre
+
+
+def _mass(volume: float) -> float:
+    return float(np.clip(DENSITY * volume, *MASS_RANGE))
+
+
+def _corner(part: Part, sign: int) -> Array:
+    return np.array([sign * -part.lowest(-sign * e) for e in np.eye(3)])
+
+
+def _without_strays(points: Array) -> Array:
+    """Points with enough neighbours: flying pixels and remains of the hand would swell the hull."""
+    from scipy.spatial import cKDTree
+
+    count = cKDTree(points).query_ball_point(points, 0.008, return_length=True)
+    kept = points[count >= max(4, 0.25 * float(np.median(count)))]
+    low, high = np.quantile(kept, [0.003, 0.997], axis=0)
+    kept = kept[((kept >= low) & (kept <= high)).all(axis=1)]
+    return kept if len(kept) >= 20 else points
+
+
+def _ball(points: Array) -> tuple[Array, float] | None:
+    """Centre and radius of a sphere that explains the points, or None."""
+    A = np.column_stack([2 * points, np.ones(len(points))])
+    x, *_ = np.linalg.lstsq(A, (points**2).sum(axis=1), rcond=None)
+    radius = float(np.sqrt(max(x[3] + x[:3] @ x[:3], 0.0)))
+    residual = np.abs(np.linalg.norm(points - x[:3], axis=1) - radius)
+    # a ball on a table touches it: that tells a sphere from a bowl or a rounded box
+    standing = abs(x[2] - radius) < 0.15 * radius
+    good = float(np.sqrt(np.mean(residual**2))) < BALL_RMS and float(np.mean(residual < 3 * BALL_RMS)) > BALL_SHARE
+    return (x[:3], radius) if good and standing and 0.01 < radius < 0.15 else None
+
+
+def _hull(points: Array) -> Part:
+    down = points.copy()
+    down[:, 2] = 0.0
+    both = np.concatenate([points[points[:, 2] > 0], down])
+    try:
+        hull = ConvexHull(both)
+    except QhullError as error:
+        raise ValueError(f"the cloud of {len(points)} points spans no volume") from error
+    corners = both[hull.vertices]
+    if len(corners) > 120:
+        # MuJoCo needs no more; the farthest along many directions keep the shape
+        k = np.arange(400) + 0.5
+        polar, turn = np.arccos(1 - 2 * k / 400), np.pi * (1 + 5**0.5) * k
+        ways = np.column_stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)])
+        corners = corners[np.unique((corners @ ways.T).argmax(axis=0))]
+    return Part("hull", np.eye(4), vertices=corners)
+
+
+def _columns(points: Array) -> tuple[Part, ...] | None:
+    """Boxes from the support up to the seen surface, joined along rows of similar height; None for what is not hollow."""
+    low = points[:, :2].min(axis=0)
+    cells = np.floor((points[:, :2] - low) / CELL).astype(int)
+    shape = cells.max(axis=0) + 1
+    top = np.full(shape, -1.0)
+    np.maximum.at(top, (cells[:, 0], cells[:, 1]), points[:, 2])
+    seen = top >= 0
+    # inside the footprint: cells enclosed by seen ones along both axes
+    inside = np.ones(shape, bool)
+    for axis in (0, 1):
+        before = np.maximum.accumulate(top, axis=axis)
+        after = np.flip(np.maximum.accumulate(np.flip(top, axis), axis=axis), axis)
+        inside &= np.minimum(before, after) > np.where(seen, top, 0.0) + HOLLOW_DEPTH
+    if inside.sum() < HOLLOW_SHARE * (seen | inside).sum():
+        return None
+    height = np.where(seen, top, 0.0)
+    height[inside & ~seen] = 0.005  # a floor that nobody saw
+    parts: list[Part] = []
+    free = height > 0.002
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            if not free[i, j]:
+                continue
+            # the largest rectangle of like height, first along one axis, then along the other
+            like = free & (np.abs(height - height[i, j]) < LIKE_HEIGHT)
+            b = j + 1
+            while b < shape[1] and like[i, b]:
+                b += 1
+            a = i + 1
+            while a < shape[0] and like[a, j:b].all():
+                a += 1
+            free[i:a, j:b] = False
+            h = float(height[i:a, j:b].mean())
+            x, y = low[0] + (i + a) / 2 * CELL, low[1] + (j + b) / 2 * CELL
+            parts.append(Part("box", at(x, y, h / 2), ((a - i) * CELL / 2, (b - j) * CELL / 2, h / 2)))
+    return tuple(parts) or None

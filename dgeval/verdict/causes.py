@@ -1,0 +1,114 @@
+"""Why a grasp failed: the rule of `taxonomy` over what an instrument finds out, for several draws of what is uncertain.
+
+Two instruments: the twin (physics), and geometry alone, which asks whether the object lies where the hand closes. The
+twin is the default because it measures better (`benchmarks.verdict`); where it can't run, geometry does, and says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dgeval.determinism import generator
+from dgeval.geometry import Array
+from dgeval.physics.closing import AFTER_CLOSE_S, CONTROL_S, GRASP_CENTRE
+from dgeval.taxonomy import Facts, FailureClass, Needs, SubCause, Thresholds, Verdict, classify
+from dgeval.verdict.evidence import Scene
+from dgeval.verdict.twin import Sample, Twin
+
+CLASSES: tuple[FailureClass, ...] = ("imprecise_pose", "collision", "timing")
+NOT_REPRODUCED = 0.3  # weight of a draw in which the recorded failure does not happen
+PRIOR = 0.4  # of each class, in draws: five draws that agree leave some doubt
+SD_LEAST_M, SD_LEAST_DEG = 0.0015, 1.0  # nothing is known better than that
+SD_MOST_M, SD_MOST_DEG = 0.006, 5.0
+REACH_M = 0.035  # geometry: object's middle from the hand's grasp centre
+BLIND_SD_M = 0.025  # with the place less certain than this nothing can be said
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Class with probabilities (imprecise pose, collision, timing, unknown; sum 1), and the draws it rests on."""
+
+    failure_class: FailureClass
+    probabilities: tuple[float, float, float, float]
+    sub_cause: SubCause | None
+    shift_s: float | None
+    samples: tuple[Sample, ...]
+    reproduced: float
+    instrument: str
+    why_unknown: str | None = None
+
+
+def cause_of(scene: Scene, method: str, draws: int, seed: int, least: float, thresholds: Thresholds) -> Cause:
+    """The class of a failed grasp. `least`: probability under which the answer is unknown."""
+    if scene.sd_m > BLIND_SD_M:
+        why = f"the object's place at the close is uncertain by {scene.sd_m * 1000:.0f} mm"
+        return Cause("unknown", (0.0, 0.0, 0.0, 1.0), None, None, (), 0.0, method, why)
+    samples: list[Sample] = []
+    for k in range(draws if method == "twin" else 1):
+        rng = generator(seed, "verdict", k)
+        sd_m = float(np.clip(scene.sd_m, SD_LEAST_M, SD_MOST_M))
+        sd_turn = np.radians(float(np.clip(scene.sd_deg, SD_LEAST_DEG, SD_MOST_DEG)))
+        dx, dy = rng.normal(0, sd_m, 2)
+        turn, friction = rng.normal(0, sd_turn), np.exp(rng.normal(0, 0.15))
+        if k == 0:  # the first draw is the best guess
+            dx, dy, turn, friction = 0.0, 0.0, 0.0, 1.0
+        if method == "twin":
+            samples.append(Twin(scene, (float(dx), float(dy), float(turn)), float(friction)).run(thresholds))
+        else:
+            samples.append(_geometry(scene, thresholds))
+    weights = np.array([1.0 if s.reproduced else NOT_REPRODUCED for s in samples])
+    votes = [float(weights[[s.verdict.failure_class == c for s in samples]].sum()) + PRIOR for c in CLASSES]
+    p = np.array(votes) / sum(votes)
+    reproduced = float(np.mean([s.reproduced for s in samples]))
+    best = int(np.argmax(p))
+    chosen = [s for s in samples if s.verdict.failure_class == CLASSES[best]]
+    lead = max(chosen, key=lambda s: s.reproduced)
+    if p[best] < least:
+        why = f"{CLASSES[best]} is only {p[best]:.0%} likely over {len(samples)} draws of the object's place"
+        chances = (float(p[0]) / 2, float(p[1]) / 2, float(p[2]) / 2, 0.5)
+        return Cause("unknown", chances, None, None, tuple(samples), reproduced, method, why)
+    alike = [s.verdict for s in chosen if s.verdict.sub_cause == lead.verdict.sub_cause]
+    shifts = [v.shift_s for v in alike if v.shift_s is not None]
+    shift = float(np.median(shifts)) if shifts else None
+    chances = (float(p[0]), float(p[1]), float(p[2]), 0.0)
+    return Cause(CLASSES[best], chances, lead.verdict.sub_cause, shift, tuple(samples), reproduced, method)
+
+
+def _geometry(scene: Scene, thresholds: Thresholds) -> Sample:
+    """The same rule with 'the object's middle lies where the hand closes' in place of 'closing and lifting works'."""
+    end = scene.reference
+    centre = (scene.points.min(axis=0) + scene.points.max(axis=0)) / 2
+    T = scene.hand.T_support_hand
+    places = np.array([T[k][:3, :3] @ GRASP_CENTRE + T[k][:3, 3] for k in range(end + 1)])
+    free = np.array([centre + scene.moved_by(k) for k in range(end + 1)])
+    real = free.copy()
+    off = np.zeros((end + 1, 2))
+    last: Array | None = None
+    for k in range(end + 1):
+        if np.isfinite(scene.seen[k, 0, 0]):
+            last = scene.seen[k]
+            real_now = last[:3, :3] @ centre + last[:3, 3]
+            off[k] = np.linalg.norm(real_now - free[k]), np.degrees(np.arccos(np.clip((np.trace(last[:3, :3]) - 1) / 2, -1, 1)))
+            held = real_now - free[k]
+        real[k] = free[k] + (held if last is not None else 0.0)
+    works = np.linalg.norm(places - real, axis=1) < REACH_M
+    velocity = (places[end] - places[max(end - 5, 0)]) / (5 * CONTROL_S)
+    curve = [((k - end) * CONTROL_S, bool(works[k])) for k in range(end % 3, end + 1, 3) if k != end or scene.close is None]
+    if scene.close is not None:
+        curve.append((0.0, False))
+        for k in range(3, round(AFTER_CLOSE_S / CONTROL_S) + 1, 3):
+            dt = k * CONTROL_S
+            gap = places[end] + velocity * dt - real[end] - scene.velocity * dt
+            curve.append((dt, bool(np.linalg.norm(gap) < REACH_M)))
+    pushed = np.flatnonzero((off[:, 0] > 0.003) | (off[:, 1] > 3.0))
+    facts = Facts(
+        scene.close is not None, float(np.sort(off[:, 0])[-3:].min()), float(np.sort(off[:, 1])[-3:].min()), tuple(curve),
+        float((pushed[0] - end) * CONTROL_S) if len(pushed) else None, 0.0,
+    )  # fmt: skip
+    while isinstance(answer := classify(facts, thresholds), Needs):
+        ok = bool(np.linalg.norm(places[end] - free[end]) < REACH_M)
+        facts = replace(facts, put_back=ok, free_pose=ok)
+    assert isinstance(answer, Verdict)
+    return Sample(answer, facts, True, facts.contact_s, None)

@@ -1,0 +1,150 @@
+"""What a verdict rests on: the recorded hand, the close, and the object as hindsight sees it. Nothing of the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.geometry import Array, invert, transform
+from dgeval.hindsight import Hindsight
+from dgeval.physics.closing import CONTROL_S
+from dgeval.physics.hand import ACTUATED
+from dgeval.recording.robot import JointTrack
+from dgeval.recording.trials import Trial
+
+PERIOD_NS = round(CONTROL_S * 1e9)
+APPROACH_S = 5.0  # before the close, as much of the approach as is looked at
+MIN_REGISTERED = 5  # frames; its shape and path are guesses with fewer
+VELOCITY_TOPIC = "/dgeval/belief/velocity"
+
+
+@dataclass(frozen=True)
+class HandMotion:
+    """The recorded hand at even times: t_ns (n,), T_support_hand (n, 4, 4), 15 joint positions rad (n, 15).
+
+    Support frame: z up from the surface the object stands on (z = 0), y along its motion. `velocity` (n, 3) m/s is what the
+    hand would follow with if it closed there: the robot's belief where it is recorded, else the object's velocity.
+    """
+
+    t_ns: NDArray[np.int64]
+    T_support_hand: Array
+    fingers: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One approach in the support frame.
+
+    points (m, 3) m of the object, where it is at the reference, which is the close (or the last tick if it never came).
+    velocity (3,) m/s of the undisturbed object. sd_m, sd_deg: of the object's place and turn at the reference. close: tick
+    of the close command, None if it never came. seen (n, 4, 4): by tick, what moves the object from where it is at the
+    reference to where it was seen, NaN where it was not.
+    """
+
+    hand: HandMotion
+    points: Array
+    velocity: Array
+    sd_m: float
+    sd_deg: float
+    close: int | None
+    seen: Array
+
+    @property
+    def reference(self) -> int:
+        """The tick at which `points` are given."""
+        return len(self.hand.t_ns) - 1 if self.close is None else self.close
+
+    def moved_by(self, tick: int) -> Array:
+        """Undisturbed displacement (3,) m of the object from the reference to a tick."""
+        dt = (self.hand.t_ns[tick] - self.hand.t_ns[self.reference]) * 1e-9
+        return np.asarray(self.velocity * dt)
+
+
+def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
+    """The approach up to the close, or to the end of the log without one; in words, why there can't be one."""
+    close_ns = trial.event_ns("close")
+    description = trial.robot.description
+    base = trial.robot.base_frame
+    if description is None or base is None:
+        return "no robot description and base frame: the hand's geometry is not known"
+    mounts = {j.name: j.parent for j in description.joints.values()}
+    if any(name not in mounts for name in ACTUATED):
+        return "the twin knows the DLR-HIT Hand II only, and the description's joints are not its"
+    if hindsight.n_registered < MIN_REGISTERED:
+        return f"the object was registered in only {hindsight.n_registered} frames before the close"
+    if hindsight.support is None:
+        return "what the object stands on was never seen"
+    root = mounts[f"{ACTUATED[0][:-2]}_0"]
+    track = JointTrack.of(trial.scan.joints.get(trial.roles.hand_joints or "", []), trial.config.clock.hand_joints.offset_ns)
+    end_ns = close_ns if close_ns is not None else trial.pairs[-1][0]
+    start_ns = max(trial.pairs[0][0], end_ns - round(APPROACH_S * 1e9))
+    count = (end_ns - start_ns) // PERIOD_NS
+    times = end_ns - np.arange(count, -1, -1, dtype=np.int64) * PERIOD_NS
+    T_support_base = _support_frame(hindsight, end_ns)
+    believed = trial.scan.velocities.get(VELOCITY_TOPIC, [])
+    believed_ns = np.array([t for t, _ in believed], dtype=np.int64)
+    free = T_support_base[:3, :3] @ hindsight.path.velocity[-1]
+    free[2] = 0.0
+    kept: list[int] = []
+    hands, fingers, velocities = [], [], []
+    for t_ns in times.tolist():
+        T = trial.robot.tree.lookup(base, root, t_ns)
+        q = [track.at(name, t_ns, round(trial.config.sync.max_pose_gap_s * 1e9)) for name in ACTUATED]
+        if T is None or any(v is None for v in q):
+            if kept:
+                return f"the hand's pose is not known at {(t_ns - end_ns) * 1e-9:.2f} s before the end of the approach"
+            continue
+        kept.append(t_ns)
+        hands.append(T_support_base @ T)
+        fingers.append(q)
+        k = int(np.searchsorted(believed_ns, t_ns, side="right")) - 1
+        velocities.append(T_support_base[:3, :3] @ believed[k][1] if k >= 0 else free)
+    if len(kept) < 20:
+        return "less than 0.2 s of the approach has a known hand pose"
+    points = transform(T_support_base @ hindsight.path.at(end_ns), hindsight.points)
+    hand = HandMotion(np.array(kept, dtype=np.int64), np.array(hands), np.array(fingers, dtype=float), np.array(velocities))
+    return Scene(
+        hand,
+        points,
+        free,
+        hindsight.path.sd_at(end_ns),
+        float(np.degrees(hindsight.path.sd_angle)),
+        None if close_ns is None else len(kept) - 1,
+        _seen(hindsight, T_support_base, hand.t_ns, end_ns),
+    )
+
+
+def _support_frame(hindsight: Hindsight, t_ns: int) -> Array:
+    """T_support_base: z along the support's normal from its surface, y along the motion (base y projected, at rest)."""
+    assert hindsight.support is not None
+    n, d = hindsight.support.n, hindsight.support.d
+    v = hindsight.path.velocity[-1]
+    along = v - n * (n @ v)
+    if np.linalg.norm(along) < 0.005:
+        along = np.array([0.0, 1.0, 0.0]) - n * n[1]
+    y = along / np.linalg.norm(along)
+    R = np.stack([np.cross(y, n), y, n])
+    centre = transform(hindsight.path.at(t_ns), hindsight.points).mean(axis=0)
+    foot = centre - n * (n @ centre + d)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, -R @ foot
+    return T
+
+
+def _seen(hindsight: Hindsight, T_support_base: Array, t_ns: NDArray[np.int64], end_ns: int) -> Array:
+    """Sightings at the ticks nearest to them, smoothed over three so that a single wrong one says nothing."""
+    out = np.full((len(t_ns), 4, 4), np.nan)
+    T_reference = T_support_base @ hindsight.path.at(end_ns)
+    at = [s for s in hindsight.sightings if t_ns[0] <= s.t_ns <= t_ns[-1]]
+    for before, s, after in zip([at[0], *at], at, [*at[1:], at[-1]], strict=False) if at else []:
+        places = [
+            transform(x.T_base_model @ invert(hindsight.path.at(x.t_ns)), np.zeros((1, 3)))[0] for x in (before, s, after)
+        ]
+        typical = places[int(np.argsort([np.linalg.norm(p) for p in places])[1])]
+        if np.linalg.norm(places[1] - typical) > 0.02:
+            continue
+        out[int(np.argmin(np.abs(t_ns - s.t_ns)))] = T_support_base @ s.T_base_model @ invert(T_reference)
+    return out

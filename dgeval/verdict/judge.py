@@ -1,0 +1,115 @@
+"""One trial's verdict: outcome, class, sub-cause, blame, and the sentence a person would say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from dgeval.config import Config
+from dgeval.hindsight import Hindsight
+from dgeval.recording.trials import Trial
+from dgeval.taxonomy import Thresholds
+from dgeval.verdict.blame import blame_of
+from dgeval.verdict.causes import Cause, cause_of
+from dgeval.verdict.evidence import scene_of
+from dgeval.verdict.outcome import Ended, outcome_of
+
+WORDS = {"imprecise_pose": "imprecise pose", "collision": "collision", "timing": "timing"}
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Columns of the trial's row, and what the review draws: the decisive moment ns, the offending link."""
+
+    columns: dict[str, Any]
+    decisive_ns: int | None
+    link: str | None
+    notes: tuple[str, ...] = ()
+    cause: Cause | None = field(default=None, repr=False)
+
+
+def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgement:
+    """The verdict on one trial from its recording alone."""
+    ended = outcome_of(trial, hindsight)
+    close_ns = trial.event_ns("close")
+    columns: dict[str, Any] = {"outcome": ended.outcome, "outcome_source": ended.source, "evidence": ended.evidence}
+    notes: list[str] = []
+    if hindsight is not None:
+        columns["gap_s"], columns["gap_sided"] = hindsight.gap_s, hindsight.gap_sided
+        speed = float((hindsight.path.velocity[-1] ** 2).sum() ** 0.5)
+        columns["speed_measured"] = speed
+        notes += hindsight.notes
+    if ended.outcome != "failure":
+        return Judgement(columns, close_ns, None, tuple(notes))
+    cause: Cause | str
+    if hindsight is None:
+        cause = "the object was never tracked"
+    else:
+        scene = scene_of(trial, hindsight)
+        v = config.verdict
+        try:
+            cause = scene if isinstance(scene, str) else cause_of(scene, v.method, v.draws, config.seed, v.least, Thresholds())
+        except ValueError as error:  # a cloud that spans no volume, or that MuJoCo can't make a solid of
+            cause = str(error)
+    if isinstance(cause, str) or hindsight is None:
+        columns.update(failure_class="unknown", p_imprecise_pose=0.0, p_collision=0.0, p_timing=0.0, p_unknown=1.0)
+        columns["evidence"] = f"{ended.evidence}; the cause is unknown: {cause}"
+        return Judgement(columns, close_ns, None, tuple(notes))
+    names = ("p_imprecise_pose", "p_collision", "p_timing", "p_unknown")
+    columns.update(zip(names, cause.probabilities, strict=True))
+    columns["failure_class"] = cause.failure_class
+    columns["sub_cause"] = cause.sub_cause
+    links = [s.contact_link for s in cause.samples if s.contact_link]
+    link = max(sorted(set(links)), key=links.count) if links else hindsight.contact_link
+    blame = blame_of(trial, hindsight, cause)
+    columns["blame"], columns["belief_source"] = blame.term, blame.source
+    columns["p_blame"] = blame.probability if blame.term != "unknown" else None
+    columns["evidence"] = sentence(trial, hindsight, ended, cause, link)
+    if blame.term == "unknown":
+        notes.append(f"blame unknown: {blame.why_unknown}")
+    elif blame.term != "execution":
+        notes.append("blame: " + ", ".join(f"{k} {v * 1000:.0f} mm" for k, v in blame.sizes.items()))
+    notes.append(f"verdict: {cause.instrument}, {len(cause.samples)} draws, {cause.reproduced:.0%} reproduce the failure")
+    decisive = close_ns
+    if cause.failure_class == "collision":
+        decisive = hindsight.pushed_ns or hindsight.contact_ns or close_ns
+    elif cause.failure_class == "timing" and cause.shift_s is not None and close_ns is None:
+        decisive = trial.pairs[-1][0] + round(cause.shift_s * 1e9)
+    return Judgement(columns, decisive, link, tuple(notes), cause)
+
+
+def sentence(trial: Trial, hindsight: Hindsight, ended: Ended, cause: Cause, link: str | None) -> str:
+    """What a person would say, with times in seconds from the trial's first frame."""
+    start = trial.pairs[0][0]
+    close_ns = trial.event_ns("close")
+
+    def at(t_ns: int) -> str:
+        return f"{(t_ns - start) * 1e-9:.2f} s"
+
+    closed = f"the hand closed at {at(close_ns)}" if close_ns is not None else "the hand never closed"
+    if cause.failure_class == "unknown":
+        return f"{closed}, {ended.evidence}; the cause is unknown: {cause.why_unknown}"
+    p = max(cause.probabilities)
+    facts = next(s.facts for s in cause.samples if s.verdict.failure_class == cause.failure_class)
+    said = f"{closed}, {ended.evidence}: {WORDS[cause.failure_class]} ({p:.0%}). "
+    if cause.failure_class == "collision":
+        when = hindsight.pushed_ns or hindsight.contact_ns
+        who = f"{link} " if link else "the hand "
+        where = f" at {at(when)}" if when is not None else ""
+        off = f"{facts.displacement_m * 1000:.0f} mm and {facts.displacement_deg:.0f} degrees"
+        return (
+            f"{said}{who}pushed the object{where}; it was {off} off its path by the close, and on its path it could be lifted"
+        )
+    if cause.failure_class == "timing":
+        shift = cause.shift_s or 0.0
+        if close_ns is None:
+            good = trial.pairs[-1][0] + round(shift * 1e9)
+            return said + f"Closing at {at(good)} would have lifted the object"
+        late = "earlier" if shift < 0 else "later"
+        good = close_ns + round(shift * 1e9)
+        return f"{said}The same approach closed {abs(shift):.2f} s {late}, at {at(good)}, lifts the object"
+    if not facts.curve:
+        return said + "The hand was never near the object"
+    pushed = f", not even without the push of {facts.displacement_m * 1000:.0f} mm" if facts.displacement_m > 0.005 else ""
+    how = "was not in the grasp" if cause.sub_cause == "missed" else "was lifted and slipped"
+    return f"{said}The object {how}; no close from {facts.curve[0][0]:+.1f} s to {facts.curve[-1][0]:+.1f} s lifts it{pushed}"

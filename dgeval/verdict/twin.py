@@ -1,0 +1,356 @@
+"""The twin: the object on its hindsight path in a world with the recorded hand alone, closed at other times.
+
+The recorded hand is a fact, so it moves exactly as recorded and can't be pushed; the object and the fingers obey physics.
+A close at another time follows at the velocity believed then and lifts straight up, as the recorded system does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from dgeval.geometry import Array, rotation_vector
+from dgeval.physics.closing import (
+    AFTER_CLOSE_S,
+    CLOSE_S,
+    CONTROL_S,
+    GRASP_CENTRE,
+    LIFT_S,
+    MAX_FROM_HAND,
+    MIN_LIFT,
+    NEAR,
+    SETTLE_S,
+    finger_targets,
+    finishing_twist,
+)  # fmt: skip
+from dgeval.physics.hand import ACTUATED
+from dgeval.physics.scene import TIMESTEP, build
+from dgeval.physics.shape import solid_from_cloud
+from dgeval.taxonomy import Facts, Needs, Thresholds, Verdict, classify
+from dgeval.verdict.evidence import Scene
+
+SUBSTEPS = round(CONTROL_S / TIMESTEP)
+STEP = 6  # control periods between the close times tried; half of it around lone successes
+FREE_STEPS_M = (0.003, 0.006, 0.010, 0.014)  # beyond the rule's 10 mm by what the object's own place is uncertain
+HOLD_S = 0.3  # after the lift, until which the object must still be held
+NEAR_CENTRE = 0.20  # m from the grasp's centre to the object's, where the window of close times begins
+RESYNC_M, RESYNC_RAD = 0.006, 0.10  # a sighting farther than this from the physics' object moves it
+WORLD_X = 0.5  # where the object stands in the world of `physics.scene`
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What one draw of place, turn and friction says. `reproduced`: the recorded failure happens in it too."""
+
+    verdict: Verdict
+    facts: Facts
+    reproduced: bool
+    t_contact_s: float | None
+    contact_link: str | None
+
+
+class Twin:
+    """One scene with the object displaced by (dx, dy m, turn rad) and its sliding friction scaled."""
+
+    def __init__(self, scene: Scene, offset: tuple[float, float, float], friction: float = 1.0) -> None:
+        self.scene = scene
+        self.thing, centre = solid_from_cloud(scene.points, "object")
+        self.model = build(self.thing, float(scene.velocity[1]), robot="hand")
+        m = self.model
+        parts = [g for g in range(m.ngeom) if m.geom(g).name.startswith("object_")]
+        m.geom_friction[parts, 0] *= friction
+        self.data = mujoco.MjData(m)
+        self._object = int(m.joint("object").qposadr[0])
+        self._object_dof = int(m.joint("object").dofadr[0])
+        self._hand = int(m.joint("hand").qposadr[0])
+        self._hand_dof = int(m.joint("hand").dofadr[0])
+        # nothing pushes a recorded hand: with a small inertia the solver would let part of each contact go into moving it
+        m.dof_armature[self._hand_dof : self._hand_dof + 6] = 1e5
+        self._fingers = np.array([m.joint(n).qposadr[0] for n in ACTUATED])
+        self._coupled = np.array([m.joint(f"{n[:-1]}3").qposadr[0] for n in ACTUATED if n.endswith("2")])
+        self._drives = np.array([m.actuator(n).id for n in ACTUATED])
+        self._is_hand = np.array([m.geom(g).contype[0] == 2 for g in range(m.ngeom)])
+        self._is_object = np.isin(np.arange(m.ngeom), parts)
+        self._shift = np.array([WORLD_X - centre[0], -centre[1], 0.0])
+        self.rest = self.thing.rest_height()
+        self._start = np.array([WORLD_X + offset[0], offset[1], self.rest])
+        self._turn = offset[2]
+        self._size = mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_INTEGRATION)
+
+    # the world at a tick
+
+    def hand_at(self, tick: int) -> Array:
+        T = np.array(self.scene.hand.T_support_hand[tick])
+        T[:3, 3] += self._shift
+        return T
+
+    def undisturbed(self, tick: int) -> Array:
+        """(7,) pose of the object in MuJoCo's order."""
+        half = self._turn / 2
+        place = self._start + self.scene.moved_by(tick)
+        return np.array([*place, np.cos(half), 0.0, 0.0, np.sin(half)])
+
+    def _put_hand(self, T: Array, velocity: Array, spin: Array) -> None:
+        d = self.data
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, T[:3, :3].ravel())
+        d.mocap_pos[0], d.mocap_quat[0] = T[:3, 3], quat
+        d.qpos[self._hand : self._hand + 3], d.qpos[self._hand + 3 : self._hand + 7] = T[:3, 3], quat
+        d.qvel[self._hand_dof : self._hand_dof + 3] = velocity
+        d.qvel[self._hand_dof + 3 : self._hand_dof + 6] = T[:3, :3].T @ spin  # a free joint's spin is in the body's axes
+
+    def put_object(self, tick: int) -> None:
+        d = self.data
+        d.qpos[self._object : self._object + 7] = self.undisturbed(tick)
+        d.qvel[self._object_dof : self._object_dof + 6] = [*self.scene.velocity, 0, 0, 0]
+        d.qacc_warmstart[:] = 0
+
+    def _resync(self, tick: int) -> None:
+        """Where the object was seen well away from where physics has it, it goes there: sightings are facts too."""
+        moved = self.scene.seen[tick]
+        if not np.isfinite(moved[0, 0]):
+            return
+        d = self.data
+        place = (moved[:3, :3] @ (self._start - self._shift) + moved[:3, 3]) + self._shift
+        now = d.qpos[self._object : self._object + 7]
+        R = moved[:3, :3]
+        if R[2, 2] > 0.97 and abs(place[2] - now[2]) < 0.02:
+            # it stands: a tilt of some degrees is noise, and would set it on its edge
+            place[2] = now[2]
+            yaw = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+            turn = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+        else:
+            turn = np.empty(4)
+            mujoco.mju_mat2Quat(turn, R.ravel())
+        mujoco.mju_mulQuat(turn, turn.copy(), self.undisturbed(self.scene.reference)[3:])
+        apart = float(np.linalg.norm(place[:2] - now[:2]))
+        angle = 2 * np.arccos(min(1.0, abs(float(turn @ now[3:]))))
+        if apart < RESYNC_M and (self.thing.rolls or angle < RESYNC_RAD):
+            return
+        d.qpos[self._object : self._object + 7] = [*place, *turn]
+        d.qvel[self._object_dof : self._object_dof + 6] = [*self.scene.velocity, 0, 0, 0]
+        d.qacc_warmstart[:] = 0
+        mujoco.mj_forward(self.model, d)
+
+    def _put_fingers(self, tick: int) -> None:
+        q = self.scene.hand.fingers[tick]
+        self.data.qpos[self._fingers] = q
+        self.data.qpos[self._coupled] = q[2::3]
+        self.data.ctrl[self._drives] = q
+
+    def at(self, tick: int) -> None:
+        """Hand and fingers as recorded, the object undisturbed."""
+        mujoco.mj_resetData(self.model, self.data)
+        self._put_hand(self.hand_at(tick), *self.twist(tick))
+        self._put_fingers(tick)
+        self.put_object(tick)
+        mujoco.mj_forward(self.model, self.data)
+
+    def twist(self, tick: int) -> tuple[Array, Array]:
+        """Velocity m/s and spin rad/s (support axes) of the recorded hand after a tick, over 50 ms."""
+        T = self.scene.hand.T_support_hand
+        a, b = max(tick - 2, 0), min(tick + 3, len(T) - 1)
+        dt = max(b - a, 1) * CONTROL_S
+        return (T[b][:3, 3] - T[a][:3, 3]) / dt, rotation_vector(T[b][:3, :3] @ T[a][:3, :3].T) / dt
+
+    def save(self) -> Array:
+        state = np.empty(self._size)
+        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        return state
+
+    def restore(self, state: Array) -> None:
+        mujoco.mj_setState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self.data.mocap_pos[0] = self.data.qpos[self._hand : self._hand + 3]
+        self.data.mocap_quat[0] = self.data.qpos[self._hand + 3 : self._hand + 7]
+        mujoco.mj_forward(self.model, self.data)
+
+    def _move(self, T: Array, velocity: Array, spin: Array) -> Array:
+        """One control period of the hand at a twist; returns where it is then."""
+        d, a, b = self.data, self._hand, self._hand_dof
+        self._put_hand(T, velocity, spin)
+        moving = np.concatenate([velocity, T[:3, :3].T @ spin])
+        pose = d.qpos[a : a + 7].copy()
+        turn = spin * TIMESTEP
+        for _ in range(SUBSTEPS):
+            # neither the object nor the fingers may push the recorded hand
+            d.qpos[a : a + 7], d.qvel[b : b + 6] = pose, moving
+            d.mocap_pos[0], d.mocap_quat[0] = pose[:3], pose[3:]
+            mujoco.mj_step(self.model, d)
+            pose[:3] += velocity * TIMESTEP
+            if turn.any():
+                mujoco.mju_quatIntegrate(pose[3:], moving[3:], TIMESTEP)
+        T = T.copy()
+        T[:3, 3] = pose[:3]
+        if turn.any():
+            R = np.zeros(9)
+            mujoco.mju_quat2Mat(R, pose[3:])
+            T[:3, :3] = R.reshape(3, 3)
+        return T
+
+    # what is asked
+
+    def touching(self) -> tuple[bool, float, str | None]:
+        """Whether the hand touches the object, deepest overlap m, and the link that does."""
+        pairs = self.data.contact.geom
+        if not len(pairs):
+            return False, 0.0, None
+        both = self._is_hand[pairs].any(axis=1) & self._is_object[pairs].any(axis=1)
+        if not both.any():
+            return False, 0.0, None
+        k = int(np.flatnonzero(both)[np.argmin(self.data.contact.dist[both])])
+        geom = next(int(g) for g in pairs[k] if self._is_hand[g])
+        return True, max(0.0, -float(self.data.contact.dist[k])), self.model.geom(geom).name
+
+    def close(self, T: Array, velocity: Array, preshape: Array) -> tuple[bool, float]:
+        """Close, follow, lift from the present state: success, and the object's greatest rise m."""
+        d = self.data
+        height, since = 0.0, 0.0
+        while True:
+            d.ctrl[self._drives] = finger_targets(since, preshape)
+            T = self._move(T, finishing_twist(since, velocity)[:3], np.zeros(3))
+            since += CONTROL_S
+            z = float(d.qpos[self._object + 2])
+            height = max(height, z - self.rest)
+            lift = since - CLOSE_S - SETTLE_S
+            if 0.0 < lift < LIFT_S and not self.touching()[0]:
+                return False, height
+            if lift > 0.45 * LIFT_S and z < self.rest + 0.01:
+                return False, height
+            if lift >= LIFT_S + HOLD_S:
+                centre = T[:3, :3] @ GRASP_CENTRE + T[:3, 3]
+                near = np.linalg.norm(d.qpos[self._object : self._object + 3] - centre) < MAX_FROM_HAND
+                return bool(z > self.rest + MIN_LIFT and near and self.touching()[0]), height
+
+    def _close_at(self, state: Array, tick: int) -> tuple[bool, float]:
+        self.restore(state)
+        T = self._hand_pose()
+        return self.close(T, self.scene.hand.velocity[tick], self.scene.hand.fingers[tick])
+
+    def run(self, thresholds: Thresholds) -> Sample:
+        """The approach, the curve of close times, and the rule over it."""
+        scene = self.scene
+        end = scene.reference
+        centres = np.array([self.hand_at(k) @ np.append(GRASP_CENTRE, 1.0) for k in range(end + 1)])[:, :3]
+        path = np.array([self.undisturbed(k)[:3] for k in range(end + 1)])
+        reach = NEAR_CENTRE + 0.5 * float(np.linalg.norm(self.thing.extent()))
+        near = np.flatnonzero(np.linalg.norm(centres - path, axis=1) < reach)
+        if not len(near):
+            facts = Facts(scene.close is not None, 0.0, 0.0, (), None, 0.0)
+            return Sample(Verdict("imprecise_pose", "missed"), facts, scene.close is None, None, None)
+        first = end - (end - int(near[0])) // 3 * 3
+        states, off, contact, link = self._approach(first, end)
+        tried = self._earlier(states, first, contact)
+        reproduced, height = True, 0.0
+        if scene.close is not None:
+            works, height = self._close_at(states[end], end)
+            reproduced = not works
+            tried[end] = False  # what was recorded, whatever the twin says
+        curve = [((k - end) * CONTROL_S, tried[k]) for k in sorted(tried)]
+        if scene.close is not None:
+            curve += self._later(states[end], end)
+        metres, degrees = off.max(axis=0)
+        facts = Facts(
+            scene.close is not None, float(metres), float(degrees), tuple((round(a, 3), b) for a, b in curve),
+            None if contact is None else round((contact - 1 - end) * CONTROL_S, 3), height,
+        )  # fmt: skip
+        while isinstance(answer := classify(facts, thresholds), Needs):
+            if answer.fact == "free_pose":
+                facts = replace(facts, free_pose=self._free_pose(end))
+            else:
+                k = end if scene.close is not None or contact is None else contact
+                self.at(k)
+                overlap = self.touching()[1]
+                works = self.close(self.hand_at(k), scene.hand.velocity[k], scene.hand.fingers[k])[0]
+                facts = replace(facts, overlap_m=overlap, put_back=works)
+        return Sample(answer, facts, reproduced, None if contact is None else (contact - end) * CONTROL_S, link)
+
+    def _earlier(self, states: dict[int, Array], first: int, contact: int | None) -> dict[int, bool]:
+        """Close times up to the real one, backwards until two in a row work; past a push, until two before it do."""
+        scene, end = self.scene, self.scene.reference
+        fine = end - round(AFTER_CLOSE_S / CONTROL_S) if scene.close is not None else end
+        wanted = [*range(end, max(fine, first) - 1, -STEP), *range(max(fine, first) - STEP, first - 1, -2 * STEP)]
+        tried: dict[int, bool] = {}
+        row = 0
+        for k in wanted:
+            if k not in states or (k == end and scene.close is not None):
+                continue
+            tried[k] = self._worth(states[k]) and self._close_at(states[k], k)[0]
+            row = row + 1 if tried[k] else 0
+            if row == 2 and (contact is None or scene.close is None or k < contact):
+                break
+        for k in [k for k in sorted(tried) if tried[k] and not tried.get(k - STEP) and not tried.get(k + STEP)]:
+            for n in (k - STEP // 2, k + STEP // 2):
+                if n in states and n not in tried:
+                    tried[n] = self._close_at(states[n], n)[0]
+        return tried
+
+    def _worth(self, state: Array) -> bool:
+        """Whether a close from this state can do anything: the object lies within the hand's reach."""
+        self.restore(state)
+        T = self._hand_pose()
+        off = self.data.qpos[self._object : self._object + 3] - T[:3, :3] @ GRASP_CENTRE - T[:3, 3]
+        return bool(np.linalg.norm(off) < NEAR + 0.5 * np.linalg.norm(self.thing.extent()))
+
+    def _hand_pose(self) -> Array:
+        R = np.zeros(9)
+        mujoco.mju_quat2Mat(R, self.data.qpos[self._hand + 3 : self._hand + 7])
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R.reshape(3, 3), self.data.qpos[self._hand : self._hand + 3]
+        return T
+
+    def _approach(self, first: int, end: int) -> tuple[dict[int, Array], Array, int | None, str | None]:
+        """The recorded hand through the object: states by tick, distance m and degrees off the path, first moving contact."""
+        self.at(first)
+        states: dict[int, Array] = {}
+        off = np.zeros((end - first + 1, 2))
+        contact, link = None, None
+        for k in range(first, end + 1):
+            self._resync(k)
+            pose, free = self.data.qpos[self._object : self._object + 7], self.undisturbed(k)
+            off[k - first, 0] = np.linalg.norm(pose[:3] - free[:3])
+            dot = abs(float(pose[3:7] @ free[3:7]))
+            off[k - first, 1] = 0.0 if self.thing.rolls else np.degrees(2 * np.arccos(min(1.0, dot)))
+            if contact is None and (off[k - first, 0] > 0.001 or off[k - first, 1] > 1.0):
+                touches, _, name = self.touching()
+                if touches:
+                    contact, link = k, name
+            if (end - k) % 3 == 0:
+                states[k] = self.save()
+            if k < end:
+                a, b = self.hand_at(k), self.hand_at(k + 1)
+                self.data.ctrl[self._drives] = self.scene.hand.fingers[k]
+                self._move(a, (b[:3, 3] - a[:3, 3]) / CONTROL_S, rotation_vector(b[:3, :3] @ a[:3, :3].T) / CONTROL_S)
+                self._put_hand(b, *self.twist(k + 1))
+        return states, off, contact, link
+
+    def _later(self, state: Array, end: int) -> list[tuple[float, bool]]:
+        """The approach gone on with at constant twist and open fingers after the close."""
+        self.restore(state)
+        velocity, spin = self.twist(max(end - 2, 0))
+        T = self.hand_at(end)
+        held = []
+        for k in range(1, round(AFTER_CLOSE_S / CONTROL_S) + 1):
+            T = self._move(T, velocity, spin)
+            if k % STEP == 0:
+                held.append((k * CONTROL_S, self.save()))
+        out: list[tuple[float, bool]] = []
+        for offset, state in held:
+            out.append((offset, self._close_at(state, end)[0]))
+            if len(out) > 1 and out[-1][1] and out[-2][1]:
+                break  # two in a row: nothing later is nearer
+        return out
+
+    def _free_pose(self, end: int) -> bool:
+        """As put back at the close, with the palm moved by at most 10 mm to where nothing overlaps."""
+        ways = [np.array([a, b, c], dtype=float) for a in (0, 1, -1) for b in (0, 1, -1) for c in (0, 1, -1) if a or b or c]
+        for move in [np.zeros(3), *(step * w / np.linalg.norm(w) for step in FREE_STEPS_M for w in ways)]:
+            self.at(end)
+            T = self.hand_at(end)
+            T[:3, 3] += T[:3, :3] @ move
+            self._put_hand(T, *self.twist(end))
+            mujoco.mj_forward(self.model, self.data)
+            if self.touching()[1] <= 1e-4:
+                return self.close(T, self.scene.hand.velocity[end], self.scene.hand.fingers[end])[0]
+        return False
