@@ -207,7 +207,7 @@ class ReviewWriter:
         rec = self._rec
         times = [m.t_ns for m in self._moments] or [s.t_ns for s in hindsight.sightings]
         centres = [transform(hindsight.path.at(t), hindsight.path.centroid[None])[0] for t in times]
-        rec.log("world/hindsight/free path", rr.LineStrips3D([centres], colors=OBJECT, radii=0.001), static=True)
+        rec.log("world/hindsight/free_path", rr.LineStrips3D([centres], colors=OBJECT, radii=0.001), static=True)
         seen = [transform(s.T_base_model, hindsight.path.centroid[None])[0] for s in hindsight.sightings]
         rec.log("world/hindsight/sightings", rr.Points3D(seen, colors=(90, 160, 250), radii=0.002), static=True)
         if decisive_ns is None:
@@ -221,8 +221,6 @@ class ReviewWriter:
             label = f"{name}: {distance * 1000:.0f} mm"
             line = rr.LineStrips3D([[a, b]], colors=OFFENDING, radii=0.002, labels=label)
             rec.log("world/hindsight/distance", line, static=True)
-                "world/hindsight/distance", rr.LineStrips3D([[a, b]], colors=OFFENDING, radii=0.002, labels=label), static=True
-            )
 
     def _again(self, decisive_ns: int, evidence: str) -> None:
         """The last seconds up to the decisive moment, on the timeline that is followed."""

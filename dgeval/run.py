@@ -6,11 +6,13 @@ import hashlib
 import json
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,15 +21,18 @@ from dgeval import __version__
 from dgeval.config import Config
 from dgeval.determinism import fingerprint, limit_threads
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError
-from dgeval.hindsight import Seen, Surface, look_back, seen_of
+from dgeval.geometry import Array
+from dgeval.hindsight import Hindsight, Seen, Surface, look_back, seen_of
 from dgeval.recording.containers import describe
 from dgeval.recording.trials import Trial, TrialSpec, open_trial
-from dgeval.replay import replay
+from dgeval.replay import Step, replay
 from dgeval.schema import FRAMES, FRAMES_ADDED, SCHEMA_VERSION, TIMINGS, TRIALS, StageDigests, arrow_schema, arrow_table
 from dgeval.stages.perception import Perception
 from dgeval.verdict.judge import Judgement, judge
+from dgeval.verdict.picture import decisive_picture
 
 ROWS_PER_GROUP = 500
+MAX_RECENT = 400  # images kept to draw the decisive moment on, as they were compressed
 # Makes the object that writes a trial's review recording: add(step) per frame, close(path) at the end.
 ReviewFactory = Callable[[Path, Trial, Config], Any]
 
@@ -109,6 +114,7 @@ def _replay_trial(
     perception = Perception(config)
     seen: list[Seen] = []
     surface = Surface()
+    recent: deque[tuple[int, Array | None, bytes]] = deque(maxlen=MAX_RECENT)  # for the picture of the decisive moment
     frames_path = out / "frames" / f"{name}.parquet"
     timings_path = out / "trials" / f"{name}.timings.parquet"
     with (
@@ -132,6 +138,8 @@ def _replay_trial(
                 seen.append(known)
             if step.accepted and step.model is not None:
                 surface.add(step.model)
+            if trial.event_ns("close") is None or step.frame.t_ns <= trial.event_ns("close"):  # type: ignore[operator]
+                recent.append((step.frame.t_ns, step.T_base_camera, _as_jpeg(step)))
             if view is not None:
                 view.add(step)
             if progress is not None:
@@ -143,6 +151,8 @@ def _replay_trial(
         for stage, seconds in (("hindsight", looked - begun), ("verdict", time.perf_counter() - looked)):
             timings_table.add({"trial": spec.id, "frame": counts["frames"], "stage": stage, "seconds": seconds})
     sizes = view.close(out / "review" / f"{name}.rrd", hindsight, judgement) if view is not None else None
+    if hindsight is not None:
+        _write_picture(out / "pictures" / f"{name}.jpg", recent, judgement, hindsight, trial)
     if model is not None:
         _write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
@@ -203,6 +213,33 @@ def _trial_row(
         **judgement.columns,
     }
     return row, exit_code, messages
+
+
+def _as_jpeg(step: Step) -> bytes:
+    """The colour image as recorded if that was compressed, else as JPEG: small enough to keep some hundred of them."""
+    if step.frame.colour_file is not None:
+        return step.frame.colour_file
+    return cv2.imencode(".jpg", step.frame.colour[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+
+
+def _write_picture(
+    path: Path, recent: deque[tuple[int, Array | None, bytes]], judgement: Judgement, hindsight: Hindsight, trial: Trial
+) -> None:
+    """The frame nearest to the decisive moment (the last one without such a moment), drawn over."""
+    wanted = judgement.decisive_ns if judgement.decisive_ns is not None else recent[-1][0] if recent else 0
+    usable = [r for r in recent if r[1] is not None]
+    if not usable:
+        return
+    t_ns, T_base_camera, data = min(usable, key=lambda r: abs(r[0] - wanted))
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert T_base_camera is not None
+    said = judgement.columns.get("failure_class") or judgement.columns["outcome"]
+    title = f"{trial.spec.id}  {(t_ns - trial.pairs[0][0]) * 1e-9:.2f} s  {said}"
+    drawn = decisive_picture(np.asarray(image, dtype=np.uint8), t_ns, T_base_camera, trial.camera, hindsight, title)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 82])[1].tobytes())
+    part.replace(path)
 
 
 def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
