@@ -90,8 +90,8 @@ def test_close_too_early_is_timing(campaign: Campaign) -> None:
 
 @pytest.mark.slow
 def test_close_too_late_after_drifting_off_is_timing_not_collision(campaign: Campaign) -> None:
-    """The drifting hand pushes the mug by centimetres, but putting it back would not have helped."""
-    found = truth(campaign, plan("mug", Faults(evaluator_bias=0.25, velocity_bias=(0, 0.05, 0), close_shift=1.0), speed=0.12))
+    """The drifting hand pushes the box by centimetres, but putting it back would not have helped."""
+    found = truth(campaign, plan("pudding_box", Faults(evaluator_bias=0.25, velocity_bias=(0, 0.05, 0), close_shift=1.0)))
     assert (found.failure_class, found.sub_cause) == ("timing", "late")
     assert found.facts is not None
     assert found.facts.displacement_m > 0.02
@@ -102,7 +102,7 @@ def test_offset_that_no_close_time_can_save_is_imprecise(campaign: Campaign) -> 
     assert found.failure_class == "imprecise_pose"
     assert not any(success for _, success in found.curve)
     assert found.pose_error_m is not None
-    assert 0.015 < found.pose_error_m < 0.04, "about the offset that was put in"
+    assert 0.008 <= found.pose_error_m <= 0.03, "more than a good grasp forgives, no more than what was put in"
 
 
 def test_sweep_that_knocks_the_object_off_its_path_is_collision(campaign: Campaign) -> None:

@@ -14,6 +14,8 @@ matplotlib.use("Agg")
 
 from matplotlib.figure import Figure
 
+from dgeval.report.summary import Share
+
 COLOURS = ("#1f77b4", "#d95f02", "#2a9d5c", "#7b5ea7")
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False,
@@ -54,6 +56,26 @@ def trial_figure(frames: pd.DataFrame, events: dict[str, int | None]) -> Figure:
                         axis.annotate(
                             name, ((t_ns - start) * 1e-9, 1.0), xycoords=("data", "axes fraction"), fontsize=8, ha="center"
                         )
+    return figure
+
+
+def shares_figure(title: str, shares: list[Share]) -> Figure:
+    """Success or failure shares with Wilson intervals as bars, the paper's as diamonds."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 0.9 + 0.28 * len(shares)), layout="constrained")
+        axis = figure.subplots()
+        y = np.arange(len(shares))[::-1]
+        axis.barh(y, [s.percent if s.n else 0 for s in shares], color=COLOURS[0], alpha=0.75, height=0.6)
+        for at, s in zip(y, shares, strict=True):
+            if s.n:
+                axis.plot([100 * s.low, 100 * s.high], [at, at], color="#222", lw=1.2)
+            if s.published is not None:
+                k, n = (int(v) for v in s.published.split("/"))
+                axis.plot([100 * k / n], [at], "D", color=COLOURS[1], ms=5)
+        axis.set_yticks(y, [f"{s.name}  {s.k}/{s.n}" for s in shares])
+        axis.set_xlim(0, 100)
+        axis.set_xlabel("%, line: Wilson 95 % interval" + (", diamond: paper" if any(s.published for s in shares) else ""))
+        axis.set_title(title, loc="left", fontsize=9.5)
     return figure
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from pathlib import Path
 from typing import Any
@@ -10,26 +11,55 @@ import jinja2
 import pandas as pd
 
 from dgeval import __version__
-from dgeval.report.figures import as_data_uri, trial_figure
+from dgeval.report.figures import as_data_uri, shares_figure, trial_figure
+from dgeval.report.summary import against_truth, failure_shares, read_truth, share, success_by, what_first
 from dgeval.report.tables import Run, read_run, stage_times, trial_summary
+from dgeval.run import file_name
+
+CHANCES = ("p_imprecise_pose", "p_collision", "p_timing")
 
 
-def write_report(folders: list[Path], out: Path) -> Path:
-    """Write `report.html` into `out`; UsageError where a folder is not a finished run."""
+def write_report(folders: list[Path], out: Path, truth: list[Path] | None = None) -> Path:
+    """Write report.html, report.md, trials.csv and the figures into `out`. UsageError where a folder is not a finished run.
+
+    truth: recordings or manifests to score the verdicts against.
+    """
     runs = [read_run(f) for f in folders]
+    known = read_truth(truth) if truth else {}
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("dgeval", "report/templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    page = environment.get_template("report.html").render(version=__version__, runs=[_run(r) for r in runs])
+    shown = [_run(r, known) for r in runs]
     out.mkdir(parents=True, exist_ok=True)
+    page = environment.get_template("report.html").render(version=__version__, runs=shown)
     path = out / "report.html"
-    part = path.with_suffix(".html.part")
-    part.write_text(page, encoding="utf-8")
-    part.replace(path)
+    _write(path, page)
+    plain = jinja2.Environment(
+        loader=jinja2.PackageLoader("dgeval", "report/templates"), autoescape=False, trim_blocks=True, lstrip_blocks=True
+    )
+    _write(out / "report.md", plain.get_template("report.md").render(version=__version__, runs=shown))
+    tables = [r.trials.assign(run=str(r.folder)) for r in runs]
+    _write(out / "trials.csv", pd.concat(tables).to_csv(index=False))
+    for k, run in enumerate(shown):
+        for name, figure in run["figures"].items():
+            stem = f"{name}-{k}" if len(shown) > 1 else name
+            figure.savefig(out / f"{stem}.png", dpi=110, metadata={"Software": None})
+            figure.savefig(out / f"{stem}.svg", metadata={"Date": None})
     return path
 
 
-def _run(run: Run) -> dict[str, Any]:
+def _write(path: Path, text: str) -> None:
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+
+
+def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    by = {name: success_by(run.trials, name) for name in ("speed", "object", "scenario")} if len(run.trials) else {}
+    classes = failure_shares(run.trials) if len(run.trials) else []
+    figures = {f"success_by_{name}": shares_figure(f"success by {name}", s) for name, s in by.items() if len(s) > 1}
+    if any(s.k for s in classes):
+        figures["failure_classes"] = shares_figure("failures by cause", classes)
     trials = []
     for record in run.trials.to_dict("records"):
         row: dict[str, Any] = {str(k): None if pd.isna(v) else v for k, v in record.items()}
@@ -40,6 +70,8 @@ def _run(run: Run) -> dict[str, Any]:
                 **row,
                 **trial_summary(frames),
                 "figure": as_data_uri(trial_figure(frames, events)),
+                "picture": _picture(run.folder / "pictures" / f"{file_name(row['trial'])}.jpg"),
+                "decisive_s": None if row["t_decisive_ns"] is None else (row["t_decisive_ns"] - frames["t_ns"].iloc[0]) * 1e-9,
                 "view": f"dgeval view {run.folder} {row['trial']}",
                 "messages": [],
             }
@@ -48,13 +80,26 @@ def _run(run: Run) -> dict[str, Any]:
     return {
         "folder": str(run.folder),
         "about": run.about,
-        "trials": sorted(trials, key=lambda t: -t["lost_s"] / max(t["duration_s"], 1e-9)),
+        # failures first, the surest verdicts before the others
+        "trials": sorted(trials, key=lambda t: (t["outcome"] != "failure", -max(t[p] or 0 for p in CHANCES), t["trial"])),
+        "success": share("success", outcomes.get("success", 0), outcomes.get("success", 0) + outcomes.get("failure", 0)),
+        "by": by,
+        "classes": classes,
+        "figures": figures,
+        "drawn": {name: as_data_uri(figure) for name, figure in figures.items()},
+        "first": what_first(run.trials) if len(run.trials) else [],
+        "scored": against_truth(run.trials, truth),
         "outcomes": outcomes,
         "failed": run.about["failed"],
         "log": _messages(run),
         "stages": stage_times(run.timings),
         "n_frames": int(run.trials["n_frames"].sum()) if len(run.trials) else 0,
     }
+
+
+def _picture(path: Path) -> str | None:
+    """The picture of the decisive moment inside the HTML file, None where there is none."""
+    return "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode() if path.is_file() else None
 
 
 def _messages(run: Run) -> list[dict[str, Any]]:

@@ -45,7 +45,9 @@ def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
         if trial.scan.poses.get("/dgeval/belief/grasp") and trial.event_ns("trial_end") is not None:
             return Ended("failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0)
         return Ended("no_grasp", "inferred", "the log has no close command")
-    last_ns = max([trial.pairs[-1][0], *(s.t_ns for s in trial.scan.joints.get(trial.roles.hand_joints or "", [])[-1:])])
+    end_ns = max(trial.pairs[-1][0], spec.end_ns or 0)
+    joints = [s.t_ns for s in trial.scan.joints.get(trial.roles.hand_joints or "", []) if s.t_ns <= end_ns]
+    last_ns = max([trial.pairs[-1][0], *joints[-1:]])
     if (last_ns - close_ns) * 1e-9 < AFTER_S:
         return Ended("unknown", None, f"the log ends {max(0.0, (last_ns - close_ns) * 1e-9):.1f} s after the close")
     fingers = _pressing(trial, last_ns)
@@ -62,7 +64,8 @@ def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
 
 def _pressing(trial: Trial, last_ns: int) -> tuple[bool, str] | None:
     """Whether fingers still press on something at the end; None without efforts of a known hand."""
-    samples = [s for s in trial.scan.joints.get(trial.roles.hand_joints or "", []) if s.t_ns >= last_ns - round(LAST_S * 1e9)]
+    first_ns = last_ns - round(LAST_S * 1e9)
+    samples = [s for s in trial.scan.joints.get(trial.roles.hand_joints or "", []) if first_ns <= s.t_ns <= last_ns]
     flexion = [n for n in ACTUATED if not n.endswith("_0")]
     rows = [[s.efforts[n] for n in flexion] for s in samples if all(n in s.efforts for n in flexion)]
     if len(rows) < 5:

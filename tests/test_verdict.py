@@ -1,0 +1,300 @@
+"""Catches: a verdict that reads the truth, an invented class, a wrong instrument, intervals and tables that don't add up."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from benchmarks.verdict import scene_from
+from dgeval.geometry import transform
+from dgeval.hindsight import Sighting, Surface, smooth
+from dgeval.physics.objects import surface_points, ten_objects
+from dgeval.physics.shape import solid_from_cloud
+from dgeval.report.statistics import calibration_error, confusion, macro_f1, wilson
+from dgeval.report.summary import failure_shares, published, read_truth, success_by
+from dgeval.simulation.campaign import Campaign, simulate
+from dgeval.simulation.faults import Faults
+from dgeval.simulation.scenario import Plan, load_scenario
+from dgeval.stages.types import Model
+from dgeval.taxonomy import Thresholds
+from dgeval.verdict.causes import CLASSES, Cause, cause_of
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from scipy.spatial.transform import Rotation
+
+ROOT = Path(__file__).resolve().parents[1]
+SMOKE = ROOT / "datasets" / "ci-smoke"
+Run = Callable[..., object]
+
+
+# the second pass
+
+
+def sightings(velocity: tuple[float, float, float], noise: float, n: int = 40) -> list[Sighting]:
+    rng = np.random.default_rng(0)
+    out = []
+    for k in range(n):
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("z", 0.4).as_matrix()
+        T[:3, 3] = np.array(velocity) * k / 30 + rng.normal(0, noise, 3)
+        out.append(Sighting(1_000_000_000 + round(k / 30 * 1e9), T, "registration", False))
+    return out
+
+
+def test_smoothing_extrapolates_a_belt_to_within_its_own_sd() -> None:
+    centre = np.array([0.1, 0.0, 0.3])
+    path = smooth(sightings((0.0, 0.2, 0.0), 0.001), centre)
+    t_ns = 1_000_000_000 + round(39 / 30 * 1e9) + 1_000_000_000
+    there = transform(path.at(t_ns), centre[None])[0]
+    true = Rotation.from_euler("z", 0.4).as_matrix() @ centre + np.array([0.0, 0.2, 0.0]) * (39 / 30 + 1)
+    error = float(np.linalg.norm(there - true))
+    assert error < 3 * path.sd_at(t_ns)
+    assert error < 0.005
+    assert path.sd_at(t_ns) > 2 * path.sd_at(1_500_000_000)  # nothing was seen for a second
+
+
+def test_surface_does_not_forget_what_was_seen_early() -> None:
+    surface = Surface()
+    side = np.column_stack([np.zeros(500), np.random.default_rng(0).uniform(0, 0.1, (500, 2))])
+    top = side[:, [1, 0, 2]] + [0, 0, 0.2]
+    surface.add(Model(side, np.tile([1.0, 0, 0], (500, 1))))
+    for _ in range(50):
+        surface.add(Model(top, np.tile([0.0, 1.0, 0], (500, 1))))
+    model = surface.model()
+    assert model is not None
+    assert 0.3 < float(np.mean(model.points[:, 2] < 0.15)) < 0.7
+    assert np.abs(np.linalg.norm(model.normals, axis=1) - 1).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["sugar_box", "apple", "mug", "gelatin_box"])
+def test_solid_from_what_a_camera_above_sees(name: str) -> None:
+    thing = ten_objects()[name]
+    points = surface_points(thing, 3000, np.random.default_rng(1)) + np.array([0.02, -0.01, thing.rest_height()])
+    solid, centre = solid_from_cloud(points[points[:, 2] > 0.4 * points[:, 2].max()], "object")
+    assert np.abs(solid.extent() - thing.extent()).max() < 0.012
+    assert abs(centre[2] - solid.rest_height()) < 0.003
+    if name == "mug":  # a hand reaches into it
+        assert len(solid.parts) > 8
+    else:
+        assert [p.kind for p in solid.parts] == (["sphere"] if name == "apple" else ["hull"])
+
+
+def test_cloud_without_volume_is_refused() -> None:
+    with pytest.raises(ValueError, match="no volume"):
+        solid_from_cloud(np.zeros((50, 3)), "object")
+
+
+# the twin on constructed cases
+
+
+def cause(tmp_path: Path, faults: Faults, thing: str = "sugar_box", method: str = "twin") -> tuple[str | None, Cause]:
+    """What is true of a constructed trial, and what the verdict says of it."""
+    from dgeval.simulation.truth import prove
+
+    campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
+    run, world = simulate(campaign, Plan("t", thing, 0.08, 0.47, -0.2, 0.3, -0.2, faults, 5, 0))
+    assert run.finish is None or not run.finish.success
+    truth = prove(run, world, near=False)
+    return truth.failure_class, cause_of(scene_from(run, world, 7), method, 3, 0, 0.0, Thresholds())
+
+
+def test_twin_finds_a_close_that_came_too_early(tmp_path: Path) -> None:
+    true, said = cause(tmp_path, Faults(close_shift=-2.0), "mug")
+    assert true == "timing"
+    assert (said.failure_class, said.sub_cause) == ("timing", "early")
+    assert said.shift_s is not None
+    assert said.shift_s > 0
+
+
+def test_twin_finds_an_offset_that_no_close_time_saves(tmp_path: Path) -> None:
+    true, said = cause(tmp_path, Faults(grasp_offset=(0, 0.05, 0, 0, 0, 0)), "gelatin_box")
+    assert true == "imprecise_pose"
+    assert said.failure_class == "imprecise_pose"
+
+
+def test_probabilities_are_shares(tmp_path: Path) -> None:
+    for method in ("twin", "geometry"):
+        _, said = cause(tmp_path, Faults(close_shift=-2.0), method=method)
+        assert abs(sum(said.probabilities) - 1) < 1e-9
+        assert min(said.probabilities) >= 0
+
+
+def test_a_place_that_is_not_known_gives_no_class(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
+    plan = Plan("t", "sugar_box", 0.08, 0.47, -0.2, 0.3, -0.2, Faults(close_shift=-2.0), 5, 0)
+    run, world = simulate(campaign, plan)
+    said = cause_of(replace(scene_from(run, world, 7), sd_m=0.05), "twin", 3, 0, 0.0, Thresholds())
+    assert said.failure_class == "unknown"
+    assert "50 mm" in str(said.why_unknown)
+
+
+# whole recordings
+
+
+@pytest.fixture(scope="module")
+def smoke_run(tmp_path_factory: pytest.TempPathFactory, dgeval: Run) -> Path:
+    """Every committed simulated recording, replayed."""
+    out = tmp_path_factory.mktemp("smoke")
+    done = dgeval("replay", SMOKE / "ci-smoke.toml", "--out", out, "--jobs", "2", "--no-review")
+    assert done.returncode == 0, done.stderr  # type: ignore[attr-defined]
+    return out
+
+
+@pytest.mark.slow
+def test_verdicts_on_the_committed_recordings(smoke_run: Path) -> None:
+    rows = pd.read_parquet(smoke_run / "trials.parquet").set_index("trial")
+    truth = read_truth([SMOKE / "ci-smoke.toml"])
+    assert len(truth) == len(rows) == 6
+    right = 0
+    for trial, row in rows.iterrows():
+        known = truth[str(trial)]
+        assert row["outcome"] == known["outcome"], trial
+        assert row["outcome_source"] == "inferred"
+        if known["outcome"] == "failure":
+            assert row["failure_class"] in (known["failure_class"], "unknown"), (trial, row["evidence"])
+            right += row["failure_class"] == known["failure_class"]
+            assert abs(row[["p_imprecise_pose", "p_collision", "p_timing", "p_unknown"]].sum() - 1) < 1e-9
+        else:
+            assert pd.isna(row["failure_class"])
+        assert (smoke_run / "pictures" / f"{trial}.jpg").is_file()
+    assert right >= 3  # of four; the mug is registered too seldom to say anything
+
+
+def without(source: Path, target: Path, prefixes: tuple[str, ...]) -> None:
+    with source.open("rb") as read, target.open("wb") as write:
+        reader = make_reader(read)
+        writer = Writer(write)
+        summary = reader.get_summary()
+        assert summary is not None
+        header = reader.get_header()
+        writer.start(header.profile, header.library)
+        schemas = {k: writer.register_schema(s.name, s.encoding, s.data) for k, s in summary.schemas.items()}
+        channels = {
+            k: writer.register_channel(c.topic, c.message_encoding, schemas[c.schema_id], c.metadata)
+            for k, c in summary.channels.items()
+            if not c.topic.startswith(prefixes)
+        }
+        for _, channel, m in reader.iter_messages(log_time_order=False):
+            if channel.id in channels:
+                writer.add_message(channels[channel.id], m.log_time, m.data, m.publish_time, m.sequence)
+        writer.finish()
+
+
+@pytest.mark.slow
+def test_verdict_does_not_read_the_truth(smoke_run: Path, dgeval: Run, tmp_path: Path) -> None:
+    name = "pudding_box-120-0030"
+    bare = tmp_path / f"{name}.mcap"
+    without(SMOKE / f"{name}.mcap", bare, ("/truth/",))
+    assert not read_truth([bare])
+    manifest = (SMOKE / "ci-smoke.toml").read_text()
+    box = next(t for t in manifest.split("[[trial]]") if name in t).split("bbox = [")[1].split("]")[0]
+    done = dgeval("replay", bare, "--bbox", box.replace(" ", ""), "--out", tmp_path / "run", "--no-review")
+    assert done.returncode == 0, done.stderr  # type: ignore[attr-defined]
+    before = pd.read_parquet(smoke_run / "trials.parquet").set_index("trial").loc[name]
+    after = pd.read_parquet(tmp_path / "run" / "trials.parquet").set_index("trial").loc[name]
+    told = [c for c in before.index if c not in ("recording", "object", "scenario", "speed", "target_source")]
+    pd.testing.assert_series_equal(before[told], after[told])
+
+
+@pytest.mark.slow
+def test_blame_needs_beliefs(dgeval: Run, tmp_path: Path) -> None:
+    name = "pudding_box-120-0030"
+    bare = tmp_path / f"{name}.mcap"
+    without(SMOKE / f"{name}.mcap", bare, ("/truth/", "/dgeval/belief/"))
+    manifest = (SMOKE / "ci-smoke.toml").read_text()
+    box = next(t for t in manifest.split("[[trial]]") if name in t).split("bbox = [")[1].split("]")[0]
+    done = dgeval("replay", bare, "--bbox", box.replace(" ", ""), "--out", tmp_path / "run", "--no-review", "--json")
+    row = json.loads(done.stdout)["trials"][0]  # type: ignore[attr-defined]
+    assert row["outcome"] == "failure"
+    assert row["blame"] == "unknown"
+    assert "beliefs not recorded" in row["notes"]
+
+
+@pytest.mark.slow
+def test_log_that_ends_at_the_close_says_nothing(dgeval: Run, tmp_path: Path) -> None:
+    frames = 68  # the hand closes at frame 65
+    manifest = (SMOKE / "ci-smoke.toml").read_text()
+    box = next(t for t in manifest.split("[[trial]]") if "pudding_box-120-0030" in t).split("bbox = [")[1].split("]")[0]
+    file = SMOKE / "pudding_box-120-0030.mcap"
+    done = dgeval(
+        "replay", file, "--bbox", box.replace(" ", ""), "--frames", f"0:{frames}", "--out", tmp_path, "--no-review", "--json"
+    )
+    row = json.loads(done.stdout)["trials"][0]  # type: ignore[attr-defined]
+    assert row["outcome"] == "unknown"
+    assert "after the close" in row["evidence"]
+    assert row["failure_class"] is None
+
+
+@pytest.mark.slow
+def test_report_scores_verdicts(smoke_run: Path, dgeval: Run, tmp_path: Path) -> None:
+    done = dgeval("report", smoke_run, "--truth", SMOKE / "ci-smoke.toml", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr  # type: ignore[attr-defined]
+    page = (tmp_path / "report.html").read_text()
+    for said in ("What to fix first", "Failures by cause", "Verdicts against the truth", "data:image/jpeg", "collision"):
+        assert said in page
+    assert len(pd.read_csv(tmp_path / "trials.csv")) == 6
+    assert "macro-f1" in (tmp_path / "report.md").read_text().lower()
+    for name in ("success_by_object.png", "success_by_object.svg", "failure_classes.png"):
+        assert (tmp_path / name).stat().st_size > 1000
+
+
+# numbers
+
+
+def test_wilson_is_the_closed_form() -> None:
+    z, k, n = 1.959963984540054, 7, 12
+    p = k / n
+    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    assert wilson(k, n) == pytest.approx((middle - half, middle + half))
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+def test_scores_on_a_known_matrix() -> None:
+    truth = ["imprecise_pose"] * 4 + ["collision"] * 4 + ["timing"] * 2
+    said = ["imprecise_pose"] * 3 + ["timing"] + ["collision"] * 4 + ["timing", "unknown"]
+    assert confusion(truth, said, CLASSES).tolist() == [[3, 0, 1], [0, 4, 0], [0, 0, 1]]
+    f1, low, high = macro_f1(truth, said, CLASSES)
+    assert f1 == pytest.approx((6 / 7 + 1 + 2 / 4) / 3)
+    assert low <= f1 <= high
+    assert calibration_error(np.array([0.9] * 10), np.array([True] * 9 + [False])) == pytest.approx(0.0)
+    assert calibration_error(np.array([0.9] * 10), np.array([True] * 5 + [False] * 5)) == pytest.approx(0.4)
+
+
+def test_published_tables_follow_from_their_counts() -> None:
+    tables = published()
+    for name in ("conveyor", "handover"):
+        t = tables[name]
+        n = t["n_per_object"] * len(t["object"])
+        assert 100 * sum(t["object"].values()) / n == pytest.approx(t["printed"]["overall"], abs=0.05)
+        failures = t["failures"]
+        assert sum(failures.values()) == n - sum(t["object"].values())
+        for c, percent in t["printed"]["failures"].items():
+            assert 100 * failures[c] / sum(failures.values()) == pytest.approx(percent, abs=0.05)
+    t = tables["conveyor"]
+    assert sum(t["speed_mm_s"].values()) == sum(t["object"].values()) == 86
+    t = tables["table-clearing"]
+    assert (sum(t["without"].values()), sum(t["object"].values())) == (72, 101)
+    assert [round(100 * v / 120) for v in (72, 101)] == [t["printed"]["without"], t["printed"]["overall"]]
+    for table, printed in (("without", "without"), ("speed_mm_s", "with")):
+        for speed, k in tables["turntable"][table].items():
+            assert 100 * k / 20 == tables["turntable"]["printed"][printed][speed]
+
+
+def test_shares_leave_out_what_did_not_end() -> None:
+    rows = [
+        {"trial": str(k), "outcome": o, "failure_class": c, "scenario": "conveyor", "object": "apple", "speed": 0.1}
+        for k, (o, c) in enumerate([("success", None), ("failure", "timing"), ("unknown", None), ("failure", "unknown")])
+    ]
+    trials = pd.DataFrame(rows)
+    [apple] = success_by(trials, "object")
+    assert (apple.k, apple.n, apple.published) == (1, 3, "12/12")
+    [speed] = success_by(trials, "speed")
+    assert speed.published == "5/10"
+    assert [(s.name, s.k, s.n) for s in failure_shares(trials)][2:] == [("timing", 1, 2), ("unknown", 1, 2)]
