@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from dgeval.config import Config
 from dgeval.geometry import Array, invert, rotation_angle, transform
 from dgeval.recording.frame import Frame
-from dgeval.recording.trials import Trial
+from dgeval.recording.trials import GRASP_TOPIC, Trial
 from dgeval.replay import Step
 from dgeval.stages.perception import Perception
 from dgeval.stages.plane import Plane
@@ -194,12 +194,16 @@ def look_back(trial: Trial, seen: list[Seen], surface: Surface, perception: Perc
 
     tracker = perception.tracker if isinstance(perception.tracker, ModelTracker) else ModelTracker(config)
     known = {s.t_ns for s in sightings}
+    # without a grasp in the log nobody asks for what a second look would add
+    attempt = trial.event_ns("close") is not None or bool(trial.scan.poses.get(GRASP_TOPIC))
     wanted = {
-        s.index: s for s in seen if s.t_ns not in known and -WINDOW_BEFORE_S <= (s.t_ns - end_ns) * 1e-9 <= WINDOW_AFTER_S
+        s.index: s
+        for s in seen
+        if attempt and s.t_ns not in known and -WINDOW_BEFORE_S <= (s.t_ns - end_ns) * 1e-9 <= WINDOW_AFTER_S
     }
     found = [
         sighting
-        for frame in trial.frames()
+        for frame in (trial.frames() if wanted else ())
         if frame.index in wanted
         and (sighting := _look(frame, wanted[frame.index], tracker, model, path, trial, end_ns, config)) is not None
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -101,7 +101,7 @@ class JointSample:
 
     t_ns: int
     positions: dict[str, float]
-    efforts: dict[str, float]
+    efforts: dict[str, float] = field(default_factory=dict)
 
 
 def joints_of(message: Any) -> JointSample:

@@ -14,6 +14,10 @@ from dgeval.verdict.causes import Cause, cause_of
 from dgeval.verdict.evidence import scene_of
 from dgeval.verdict.outcome import Ended, outcome_of
 
+VERDICT_COLUMNS = (
+    "failure_class", "p_imprecise_pose", "p_collision", "p_timing", "p_unknown", "sub_cause", "blame", "p_blame",
+    "belief_source", "gap_s", "gap_sided", "speed_measured",
+)  # fmt: skip
 WORDS = {"imprecise_pose": "imprecise pose", "collision": "collision", "timing": "timing"}
 
 
@@ -32,7 +36,8 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
     """The verdict on one trial from its recording alone."""
     ended = outcome_of(trial, hindsight)
     close_ns = trial.event_ns("close")
-    columns: dict[str, Any] = {"outcome": ended.outcome, "outcome_source": ended.source, "evidence": ended.evidence}
+    columns: dict[str, Any] = dict.fromkeys(VERDICT_COLUMNS)
+    columns.update(outcome=ended.outcome, outcome_source=ended.source, evidence=ended.evidence)
     notes: list[str] = []
     if hindsight is not None:
         columns["gap_s"], columns["gap_sided"] = hindsight.gap_s, hindsight.gap_sided
