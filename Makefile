@@ -48,6 +48,8 @@ soak: setup
 	$(BIN)/dgeval replay runs/conveyor/conveyor.toml --out runs/conveyor/replay --no-review --jobs 2
 	$(BIN)/python -m benchmarks.truth runs/conveyor/replay runs/conveyor/conveyor.toml
 	$(BIN)/python -m benchmarks.simulation runs/conveyor/simulated.json --stability 4
+	$(BIN)/dgeval report runs/conveyor/replay --truth runs/conveyor/conveyor.toml
+	$(BIN)/python -m benchmarks.verdict
 
 bench: setup
 	$(BIN)/python -m benchmarks.registration

@@ -14,7 +14,7 @@ from dgeval.taxonomy import Outcome, OutcomeSource
 
 AFTER_S = 1.0  # after the close, from which fingers at rest tell what they hold
 LAST_S = 0.5  # of the log, over which efforts are judged
-HELD_NM = 0.15  # mean effort of a finger's flexion joints that presses on something; noise is ten times smaller
+HELD_NM = 0.05  # mean effort of a finger's flexion joints that presses on something; empty ones show up to 0.01
 LEFT_BEHIND_M, CARRIED_M = 0.05, 0.05  # m: rise below which a sighted object was left, above which it came along
 
 
