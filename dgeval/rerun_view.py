@@ -29,6 +29,7 @@ TIMELINE = "time"
 # The viewer can't be told a moment to open at, but it opens at the end of a timeline it follows. So the last seconds up to
 # the decisive moment, which is known at the end only, stand on a second timeline as well, and that one is followed.
 DECISIVE = "up to the decisive moment"
+EYE = np.array([0.1, -0.40, 0.25])  # m, from what is looked at
 BEFORE_S, EVERY, KEPT = 2.0, 3, 400  # of that timeline: its length, every n-th frame, and frames kept to choose from
 OBJECT, HAND, GRASP, OFFENDING = (240, 170, 40), (120, 130, 145), (60, 180, 90), (230, 40, 40)
 STATES = {"tracked": "tracked", "lost": "lost", "not_started": "not started"}
@@ -196,7 +197,10 @@ class ReviewWriter:
             self._rec.log("events", rr.TextLog(f"decisive moment: {evidence}; timeline `{TIMELINE}` goes on", level="WARN"))
             self._rec.reset_time()
             self._again(decisive, evidence)
-        self._rec.send_blueprint(_blueprint())
+        target = None
+        if hindsight is not None and decisive is not None:
+            target = transform(hindsight.path.at(decisive), hindsight.path.centroid[None])[0]
+        self._rec.send_blueprint(_blueprint(target))
         self._rec.flush()
         self._rec.disconnect()
         self._path.replace(path)
@@ -236,6 +240,7 @@ class ReviewWriter:
             if m.T_base_model is not None:
                 rec.log("world/object", _transform(m.T_base_model))
             self._log_series(m.row)
+            rec.log("phase/tracking", rr.StateChange(state=STATES[m.row["tracking"]]))
         rec.log("events", rr.TextLog(evidence, level="WARN"))
 
 
@@ -247,7 +252,11 @@ SERIES: dict[str, dict[str, str]] = {
 }
 
 
-def _blueprint() -> rrb.Blueprint:
+def _blueprint(target: Array | None) -> rrb.Blueprint:
+    """The views; the scene is looked at from half a metre beside `target` (3,) m, base frame, where there is one."""
+    eye = None
+    if target is not None:
+        eye = rrb.EyeControls3D(position=target + EYE, look_target=target, eye_up=(0, 0, 1))
     plots = rrb.Vertical(
         rrb.TimeSeriesView(origin="plots/error", name="error hand to grasp"),
         rrb.TimeSeriesView(origin="plots/velocity", name="estimated velocity, m/s"),
@@ -261,7 +270,9 @@ def _blueprint() -> rrb.Blueprint:
         rrb.TextLogView(origin="events", name="events"),
         row_shares=[4, 2, 1],
     )
-    scene = rrb.Spatial3DView(origin="world", contents=["world/**", "- world/camera/colour/**"], name="scene, base frame")
+    scene = rrb.Spatial3DView(
+        origin="world", contents=["world/**", "- world/camera/colour/**"], name="scene, base frame", eye_controls=eye
+    )
     return rrb.Blueprint(
         rrb.Horizontal(images, scene, plots, column_shares=[3, 3, 3]),
         rrb.TimePanel(timeline=DECISIVE, play_state="following", playback_speed=0.5, state="collapsed"),
