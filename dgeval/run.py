@@ -158,7 +158,7 @@ def _replay_trial(
 
     row, exit_code, messages = _trial_row(trial, config, counts, t_execute_ns, last_ns, judgement)
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
-    _write_atomically(
+    write_atomically(
         mark,
         json.dumps({"key": key, "row": row, "exit_code": exit_code, "messages": messages, "review": sizes}, indent=1),
     )
@@ -254,7 +254,7 @@ def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
         json.dumps({"trial": r.id, "exit_code": r.exit_code, "message": m}) for r in sorted(results, key=lambda r: r.id)
         for m in r.messages
     ]  # fmt: skip
-    _write_atomically(out / "log.jsonl", "".join(line + "\n" for line in lines))
+    write_atomically(out / "log.jsonl", "".join(line + "\n" for line in lines))
     about = {
         "schema_version": SCHEMA_VERSION,
         "dgeval": __version__,
@@ -263,7 +263,7 @@ def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
         "inputs": {r.id: r.sha256 for r in done},
         "failed": {r.id: r.messages for r in results if r.row is None},
     }
-    _write_atomically(out / "run.json", json.dumps(about, indent=1, sort_keys=True))
+    write_atomically(out / "run.json", json.dumps(about, indent=1, sort_keys=True))
     return exit_code_of(results)
 
 
@@ -327,7 +327,7 @@ def _write_table(path: Path, table: Any) -> None:
     part.replace(path)
 
 
-def _write_atomically(path: Path, text: str) -> None:
+def write_atomically(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_text(text, encoding="utf-8")

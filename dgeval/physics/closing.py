@@ -6,8 +6,10 @@ import numpy as np
 
 from dgeval.geometry import Array
 from dgeval.physics.hand import CLOSED
+from dgeval.physics.scene import TIMESTEP
 
 CONTROL_S = 0.010  # period of the control loop
+SUBSTEPS = round(CONTROL_S / TIMESTEP)
 CLOSE_S, SETTLE_S, LIFT_S, LIFT_HEIGHT = 0.4, 0.1, 0.7, 0.20  # closing ramp, wait, lift (m)
 MIN_LIFT, MAX_FROM_HAND = 0.10, 0.15  # m: over its support; object's centre from the grasp's centre
 AFTER_CLOSE_S = 0.6  # close times are tried until this long after the real one

@@ -1,4 +1,4 @@
-"""One HTML file for a run or several: trials, losses, velocities, plots. No network, no files beside it."""
+"""One HTML file for a run or several, needing no network and nothing beside it; the same as Markdown, CSV and figures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dgeval import __version__
 from dgeval.report.figures import as_data_uri, shares_figure, trial_figure
 from dgeval.report.summary import against_truth, failure_shares, read_truth, share, success_by, what_first
 from dgeval.report.tables import Run, read_run, stage_times, trial_summary
-from dgeval.run import file_name
+from dgeval.run import file_name, write_atomically
 
 CHANCES = ("p_imprecise_pose", "p_collision", "p_timing")
 
@@ -27,31 +27,24 @@ def write_report(folders: list[Path], out: Path, truth: list[Path] | None = None
     runs = [read_run(f) for f in folders]
     known = read_truth(truth) if truth else {}
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("dgeval", "report/templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+        loader=jinja2.PackageLoader("dgeval", "report/templates"),
+        autoescape=jinja2.select_autoescape(["html"]),
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     shown = [_run(r, known) for r in runs]
-    out.mkdir(parents=True, exist_ok=True)
     page = environment.get_template("report.html").render(version=__version__, runs=shown)
     path = out / "report.html"
-    _write(path, page)
-    plain = jinja2.Environment(
-        loader=jinja2.PackageLoader("dgeval", "report/templates"), autoescape=False, trim_blocks=True, lstrip_blocks=True
-    )
-    _write(out / "report.md", plain.get_template("report.md").render(version=__version__, runs=shown))
+    write_atomically(path, page)
+    write_atomically(out / "report.md", environment.get_template("report.md").render(version=__version__, runs=shown))
     tables = [r.trials.assign(run=str(r.folder)) for r in runs]
-    _write(out / "trials.csv", pd.concat(tables).to_csv(index=False))
+    write_atomically(out / "trials.csv", pd.concat(tables).to_csv(index=False))
     for k, run in enumerate(shown):
         for name, figure in run["figures"].items():
             stem = f"{name}-{k}" if len(shown) > 1 else name
             figure.savefig(out / f"{stem}.png", dpi=110, metadata={"Software": None})
             figure.savefig(out / f"{stem}.svg", metadata={"Date": None})
     return path
-
-
-def _write(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
 
 
 def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:

@@ -18,14 +18,14 @@ from dgeval.physics.closing import (
     MAX_FROM_HAND,
     MIN_LIFT,
     SETTLE_S,
+    SUBSTEPS,
     finger_targets,
     finishing_twist,
 )  # fmt: skip
 from dgeval.physics.hand import ACTUATED, FINGERS, JOINT_NAMES, T_hand_palm
 from dgeval.physics.objects import ObjectModel
-from dgeval.physics.scene import TIMESTEP, Camera, build, pose_of
+from dgeval.physics.scene import Camera, build, pose_of
 
-SUBSTEPS = round(CONTROL_S / TIMESTEP)
 HOLD_S = 1.6  # recorded after the lift
 SUCCESS_HOLD_S = 1.0  # after the lift ends (SIMULATION section 5)
 FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + HOLD_S

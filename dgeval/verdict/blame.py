@@ -14,6 +14,7 @@ import numpy as np
 
 from dgeval.geometry import Array, invert, matrix_from_pose, transform
 from dgeval.hindsight import Hindsight
+from dgeval.recording.messages import StampedPose
 from dgeval.recording.trials import GRASP_TOPIC, Trial
 from dgeval.verdict.causes import Cause
 from dgeval.verdict.evidence import VELOCITY_TOPIC
@@ -46,7 +47,7 @@ def blame_of(trial: Trial, hindsight: Hindsight, cause: Cause) -> Blame:
         return Blame("unknown", 0.0, {}, None, "beliefs not recorded")
     grasp = matrix_from_pose(poses[GRASP_TOPIC][-1].pose)
     errors: dict[str, Array] = {"servo": palm[:3, 3] - grasp[:3, 3]}
-    believed = _believed_track(trial, poses[TARGET_TOPIC], hindsight, close_ns)
+    believed = _believed_track(trial, poses[TARGET_TOPIC], hindsight)
     if believed is None:
         return Blame("unknown", 0.0, {}, None, "the camera's pose is not known when the robot last saw the object")
     last_ns, tracking = believed
@@ -70,16 +71,13 @@ def blame_of(trial: Trial, hindsight: Hindsight, cause: Cause) -> Blame:
     return Blame("unknown", 0.0, sizes, "recorded", why)
 
 
-def _believed_track(trial: Trial, believed: list, hindsight: Hindsight, close_ns: int) -> tuple[int, Array] | None:  # type: ignore[type-arg]
+def _believed_track(trial: Trial, believed: list[StampedPose], hindsight: Hindsight) -> tuple[int, Array] | None:
     """Time of the robot's last own sighting, and how far its belief then was from hindsight, m (3,), base frame.
 
     The robot's model frame is its own, so its first belief is laid on hindsight's path: an error it had from the start
     (hand-eye, a wrong model) can't be seen in the difference.
     """
     first, last = believed[0], believed[-1]
-    seen = [s for s in hindsight.sightings if s.t_ns <= close_ns]
-    if not seen:
-        return None
     T_first, T_last = trial.robot.T_base_camera(first.t_ns), trial.robot.T_base_camera(last.t_ns)
     if T_first is None or T_last is None:
         return None

@@ -1,7 +1,7 @@
 """Why a grasp failed: the rule of `taxonomy` over what an instrument finds out, for several draws of what is uncertain.
 
 Two instruments: the twin (physics), and geometry alone, which asks whether the object lies where the hand closes. The
-twin is the default because it measures better (`benchmarks.verdict`); where it can't run, geometry does, and says so.
+two have not been measured against each other yet (`benchmarks.verdict` does it); what neither can be run on is `unknown`.
 """
 
 from __future__ import annotations
@@ -66,14 +66,14 @@ def cause_of(scene: Scene, method: str, draws: int, seed: int, least: float, thr
     best = int(np.argmax(p))
     chosen = [s for s in samples if s.verdict.failure_class == CLASSES[best]]
     lead = max(chosen, key=lambda s: s.reproduced)
+    doubt = None
     if reproduced < TRUSTED:
-        why = f"the recorded failure happens in only {reproduced:.0%} of {len(samples)} draws of the {method}"
+        doubt = f"the recorded failure happens in only {reproduced:.0%} of {len(samples)} draws of the {method}"
+    elif p[best] < least:
+        doubt = f"{CLASSES[best]} is only {p[best]:.0%} likely over {len(samples)} draws of the object's place"
+    if doubt is not None:
         chances = (float(p[0]) / 2, float(p[1]) / 2, float(p[2]) / 2, 0.5)
-        return Cause("unknown", chances, None, None, tuple(samples), reproduced, method, why)
-    if p[best] < least:
-        why = f"{CLASSES[best]} is only {p[best]:.0%} likely over {len(samples)} draws of the object's place"
-        chances = (float(p[0]) / 2, float(p[1]) / 2, float(p[2]) / 2, 0.5)
-        return Cause("unknown", chances, None, None, tuple(samples), reproduced, method, why)
+        return Cause("unknown", chances, None, None, tuple(samples), reproduced, method, doubt)
     alike = [s.verdict for s in chosen if s.verdict.sub_cause == lead.verdict.sub_cause]
     shifts = [v.shift_s for v in alike if v.shift_s is not None]
     shift = float(np.median(shifts)) if shifts else None

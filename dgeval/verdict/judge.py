@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from dgeval.config import Config
@@ -29,7 +29,6 @@ class Judgement:
     decisive_ns: int | None
     link: str | None
     notes: tuple[str, ...] = ()
-    cause: Cause | None = field(default=None, repr=False)
 
 
 def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgement:
@@ -80,7 +79,7 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
         decisive = hindsight.pushed_ns or hindsight.contact_ns or close_ns
     elif cause.failure_class == "timing" and cause.shift_s is not None and close_ns is None:
         decisive = trial.pairs[-1][0] + round(cause.shift_s * 1e9)
-    return Judgement(columns, decisive, link, tuple(notes), cause)
+    return Judgement(columns, decisive, link, tuple(notes))
 
 
 def sentence(trial: Trial, hindsight: Hindsight, ended: Ended, cause: Cause, link: str | None) -> str:

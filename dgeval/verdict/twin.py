@@ -22,6 +22,7 @@ from dgeval.physics.closing import (
     MIN_LIFT,
     NEAR,
     SETTLE_S,
+    SUBSTEPS,
     finger_targets,
     finishing_twist,
 )  # fmt: skip
@@ -31,7 +32,6 @@ from dgeval.physics.shape import solid_from_cloud
 from dgeval.taxonomy import Facts, Needs, Thresholds, Verdict, classify
 from dgeval.verdict.evidence import Scene
 
-SUBSTEPS = round(CONTROL_S / TIMESTEP)
 STEP = 6  # control periods between the close times tried; half of it around lone successes
 FREE_STEPS_M = (0.003, 0.006, 0.010, 0.014)  # beyond the rule's 10 mm by what the object's own place is uncertain
 HOLD_S = 0.3  # after the lift, until which the object must still be held
@@ -172,18 +172,17 @@ class Twin:
         self._put_hand(T, velocity, spin)
         moving = np.concatenate([velocity, T[:3, :3].T @ spin])
         pose = d.qpos[a : a + 7].copy()
-        turn = spin * TIMESTEP
         for _ in range(SUBSTEPS):
             # neither the object nor the fingers may push the recorded hand
             d.qpos[a : a + 7], d.qvel[b : b + 6] = pose, moving
             d.mocap_pos[0], d.mocap_quat[0] = pose[:3], pose[3:]
             mujoco.mj_step(self.model, d)
             pose[:3] += velocity * TIMESTEP
-            if turn.any():
+            if spin.any():
                 mujoco.mju_quatIntegrate(pose[3:], moving[3:], TIMESTEP)
         T = T.copy()
         T[:3, 3] = pose[:3]
-        if turn.any():
+        if spin.any():
             R = np.zeros(9)
             mujoco.mju_quat2Mat(R, pose[3:])
             T[:3, :3] = R.reshape(3, 3)
