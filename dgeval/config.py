@@ -161,8 +161,8 @@ class ScheduleConfig(Section):
 
 class VerdictConfig(Section):
     method: Literal["twin", "geometry"] = Field("twin", description="what tells whether another close would have worked")
-    draws: int = Field(5, ge=1, le=50, description="of the object's place and friction, in the twin")
-    least: float = Field(0.5, ge=0, le=1, description="probability of the best class under which the answer is unknown")
+    draws: int = Field(3, ge=1, le=50, description="of the object's place, friction and mass, in the twin")
+    least: float = Field(0.6, ge=0, le=1, description="probability of the best class under which the answer is unknown")
 
 
 class ReviewConfig(Section):

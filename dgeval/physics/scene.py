@@ -16,6 +16,7 @@ from dgeval.physics.texture import add_ground
 
 BELT_CENTRE, BELT_HALF = (0.50, 0.0), (0.22, 0.95)  # m; it runs along y
 FLOOR = -0.60  # m
+BELT_GROUP = 1  # of what is seen: a renderer may draw the belt apart from the floor
 TIMESTEP = 0.002  # s; at 4 ms and more grasps that hold at 1 ms begin to slip (SIMULATION section 4)
 OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])  # MuJoCo's camera looks along -z with y up, the optical frame along +z
 
@@ -53,6 +54,7 @@ def build(
     floor.material = add_ground(spec, "floor_look", (150, 148, 142))
     belt = world.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[*BELT_HALF, 0.02], pos=[*BELT_CENTRE, -0.02], name="belt")
     belt.material = add_ground(spec, "belt_look", (62, 66, 70))
+    belt.group = BELT_GROUP
     belt.surfacevel = [0, belt_speed, 0, 0, 0, 0]
     for ground in (floor, belt):
         ground.contype, ground.conaffinity, ground.condim = 1, 3, 4

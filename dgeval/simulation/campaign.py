@@ -54,6 +54,12 @@ class Campaign:
     images: bool = True
     format: str = "mcap"
 
+    @property
+    def records_all(self) -> bool:
+        """Every trial simulated is recorded: none is chosen, so each is simulated once, in the world with the cameras."""
+        chosen = self.indices is None and self.scenario.choose is not None
+        return self.images and not chosen
+
     def key(self) -> str:
         """What a trial's result depends on; how many are wanted is not part of it."""
         scenario = self.scenario.model_dump(mode="json", exclude={"choose", "max_attempts", "trials"})
@@ -105,7 +111,7 @@ def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
     if done is not None:
         return done
     start = time.perf_counter()
-    if campaign.scenario.perception == "rendered":
+    if campaign.scenario.perception == "rendered" or campaign.records_all:
         with with_images(campaign, plan) as (run, world, eyes, kept):
             physics = time.perf_counter() - start
             out = _prove(campaign, plan, run, world, physics)
@@ -152,18 +158,18 @@ def record_trial(campaign: Campaign, index: int) -> dict[str, Any]:
     """Simulate trial `index` again with cameras and write its recording, with the truth found before."""
     limit_threads()
     plan = plan_trial(campaign.scenario, _things(campaign.meshes), campaign.seed, index)
-    path = campaign.out / "recorded" / f"{plan.id}.json"
-    file = campaign.out / recording_name(campaign, plan.id)
-    done = _finished(path, campaign.key())
-    if done is not None and file.exists():
+    if (done := _recorded(campaign, plan)) is not None:
         return done
     proved = prove_trial(campaign, index)
-    if campaign.scenario.perception == "rendered":
-        done = _finished(path, campaign.key())
-        if done is not None and file.exists():
-            return done
+    if (done := _recorded(campaign, plan)) is not None:  # it may have been recorded on the way
+        return done
     with with_images(campaign, plan) as (run, world, eyes, kept):
         return _record(campaign, plan, run, world, proved["verdict"], eyes, kept)
+
+
+def _recorded(campaign: Campaign, plan: Plan) -> dict[str, Any] | None:
+    done = _finished(campaign.out / "recorded" / f"{plan.id}.json", campaign.key())
+    return done if (campaign.out / recording_name(campaign, plan.id)).exists() else None
 
 
 def _record(

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from dgeval.geometry import Array, invert, transform
 from dgeval.hindsight import Hindsight
-from dgeval.physics.closing import CONTROL_S
+from dgeval.physics.closing import CONTROL_S, GRASP_CENTRE
 from dgeval.physics.hand import ACTUATED
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
 
 PERIOD_NS = round(CONTROL_S * 1e9)
-APPROACH_S = 5.0  # before the close, as much of the approach as is looked at
+APPROACH_S = 12.0  # before the close, as much of the approach as is looked at
 MIN_REGISTERED = 5  # frames; its shape and path are guesses with fewer
 VELOCITY_TOPIC = "/dgeval/belief/velocity"
 
@@ -39,13 +39,15 @@ class Scene:
     """One approach in the support frame.
 
     points (m, 3) m of the object, where it is at the reference, which is the close (or the last tick if it never came).
-    velocity (3,) m/s of the undisturbed object. sd_m, sd_deg: of the object's place and turn at the reference. close: tick
-    of the close command, None if it never came. seen (n, 4, 4): by tick, what moves the object from where it is at the
+    free (n, 3) m: its undisturbed displacement by tick from there; velocity (3,) m/s: of the undisturbed object then.
+    sd_m, sd_deg: of the object's place and turn at the close, or when the hand was nearest if it never came. close: tick of
+    the close command, None if it never came. seen (n, 4, 4): by tick, what moves the object from where it is at the
     reference to where it was seen, NaN where it was not.
     """
 
     hand: HandMotion
     points: Array
+    free: Array
     velocity: Array
     sd_m: float
     sd_deg: float
@@ -56,11 +58,6 @@ class Scene:
     def reference(self) -> int:
         """The tick at which `points` are given."""
         return len(self.hand.t_ns) - 1 if self.close is None else self.close
-
-    def moved_by(self, tick: int) -> Array:
-        """Undisturbed displacement (3,) m of the object from the reference to a tick."""
-        dt = (self.hand.t_ns[tick] - self.hand.t_ns[self.reference]) * 1e-9
-        return np.asarray(self.velocity * dt)
 
 
 def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
@@ -105,12 +102,21 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
     if len(kept) < 20:
         return "less than 0.2 s of the approach has a known hand pose"
     points = transform(T_support_base @ hindsight.path.at(end_ns), hindsight.points)
+    centres = np.array([transform(hindsight.path.at(t), hindsight.path.centroid[None])[0] for t in kept])
+    nearest = -1
+    if close_ns is None:
+        # without a close, what counts is how well its place was known when the hand was at it, not at the log's end
+        palms = np.array([T @ np.append(GRASP_CENTRE, 1.0) for T in hands])[:, :3]
+        nearest = int(np.argmin(np.linalg.norm(palms - transform(T_support_base, centres), axis=1)))
+    moved = (centres - centres[-1]) @ T_support_base[:3, :3].T
+    moved[:, 2] = 0.0
     hand = HandMotion(np.array(kept, dtype=np.int64), np.array(hands), np.array(fingers, dtype=float), np.array(velocities))
     return Scene(
         hand,
         points,
+        moved,
         free,
-        hindsight.path.sd_at(end_ns),
+        hindsight.path.sd_at(kept[nearest]),
         float(np.degrees(hindsight.path.sd_angle)),
         None if close_ns is None else len(kept) - 1,
         _seen(hindsight, T_support_base, hand.t_ns, end_ns),

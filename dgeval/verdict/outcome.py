@@ -63,14 +63,17 @@ def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
 
 
 def _pressing(trial: Trial, last_ns: int) -> tuple[bool, str] | None:
-    """Whether fingers still press on something at the end; None without efforts of a known hand."""
+    """What the fingers say at the end; None without efforts of a known hand."""
     first_ns = last_ns - round(LAST_S * 1e9)
     samples = [s for s in trial.scan.joints.get(trial.roles.hand_joints or "", []) if first_ns <= s.t_ns <= last_ns]
     flexion = [n for n in ACTUATED if not n.endswith("_0")]
     rows = [[s.efforts[n] for n in flexion] for s in samples if all(n in s.efforts for n in flexion)]
-    if len(rows) < 5:
-        return None
-    effort: Array = np.abs(np.mean(rows, axis=0)).reshape(5, 2).max(axis=1)
+    return None if len(rows) < 5 else grip(np.array(rows))
+
+
+def grip(efforts: Array) -> tuple[bool, str]:
+    """Whether a hand holds something by its fingers' flexion efforts (n, 10) Nm over some time, two joints per finger."""
+    effort: Array = np.abs(np.mean(efforts, axis=0)).reshape(5, 2).max(axis=1)
     pressing = int((effort > HELD_NM).sum())
     listed = ", ".join(f"{v:.2f}" for v in effort)
     if pressing >= 2:

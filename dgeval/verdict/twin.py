@@ -27,8 +27,8 @@ from dgeval.physics.closing import (
     finishing_twist,
 )  # fmt: skip
 from dgeval.physics.hand import ACTUATED
+from dgeval.physics.objects import ObjectModel
 from dgeval.physics.scene import TIMESTEP, build
-from dgeval.physics.shape import solid_from_cloud
 from dgeval.taxonomy import Facts, Needs, Thresholds, Verdict, classify
 from dgeval.verdict.evidence import Scene
 
@@ -37,6 +37,7 @@ FREE_STEPS_M = (0.003, 0.006, 0.010, 0.014)  # beyond the rule's 10 mm by what t
 HOLD_S = 0.3  # after the lift, until which the object must still be held
 NEAR_CENTRE = 0.20  # m from the grasp's centre to the object's, where the window of close times begins
 RESYNC_M, RESYNC_RAD = 0.006, 0.10  # a sighting farther than this from the physics' object moves it
+REACHED_M = 0.02  # hand to object; before it has come so near, what lies off the path is an error of the path
 WORLD_X = 0.5  # where the object stands in the world of `physics.scene`
 
 
@@ -51,12 +52,30 @@ class Sample:
     contact_link: str | None
 
 
-class Twin:
-    """One scene with the object displaced by (dx, dy m, turn rad) and its sliding friction scaled."""
+@dataclass(frozen=True)
+class Approach:
+    """States by tick, furthest off the path m and degrees, tick and link of the first contact that moves the object."""
 
-    def __init__(self, scene: Scene, offset: tuple[float, float, float], friction: float = 1.0) -> None:
+    states: dict[int, Array]
+    off_m: float
+    off_deg: float
+    contact: int | None
+    link: str | None
+
+
+class Twin:
+    """One scene with a solid of its cloud displaced by (dx, dy m, turn rad), its sliding friction and mass scaled."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        solid: tuple[ObjectModel, Array],
+        offset: tuple[float, float, float],
+        friction: float = 1.0,
+        mass: float = 1.0,
+    ) -> None:
         self.scene = scene
-        self.thing, centre = solid_from_cloud(scene.points, "object")
+        self.thing, centre = replace(solid[0], mass=solid[0].mass * mass), solid[1]
         self.model = build(self.thing, float(scene.velocity[1]), robot="hand")
         m = self.model
         parts = [g for g in range(m.ngeom) if m.geom(g).name.startswith("object_")]
@@ -89,7 +108,7 @@ class Twin:
     def undisturbed(self, tick: int) -> Array:
         """(7,) pose of the object in MuJoCo's order."""
         half = self._turn / 2
-        place = self._start + self.scene.moved_by(tick)
+        place = self._start + self.scene.free[tick]
         return np.array([*place, np.cos(half), 0.0, 0.0, np.sin(half)])
 
     def _put_hand(self, T: Array, velocity: Array, spin: Array) -> None:
@@ -202,6 +221,16 @@ class Twin:
         geom = next(int(g) for g in pairs[k] if self._is_hand[g])
         return True, max(0.0, -float(self.data.contact.dist[k])), self.model.geom(geom).name
 
+    def _within(self, limit: float) -> bool:
+        """Whether hand and object are nearer than a limit, m."""
+        m, d = self.model, self.data
+        for a in np.flatnonzero(self._is_hand):
+            for b in np.flatnonzero(self._is_object):
+                gap = np.linalg.norm(d.geom_xpos[a] - d.geom_xpos[b]) - m.geom_rbound[a] - m.geom_rbound[b]
+                if gap < limit and mujoco.mj_geomDistance(m, d, a, b, limit, None) < limit:
+                    return True
+        return False
+
     def close(self, T: Array, velocity: Array, preshape: Array) -> tuple[bool, float]:
         """Close, follow, lift from the present state: success, and the object's greatest rise m."""
         d = self.data
@@ -227,32 +256,37 @@ class Twin:
         T = self._hand_pose()
         return self.close(T, self.scene.hand.velocity[tick], self.scene.hand.fingers[tick])
 
-    def run(self, thresholds: Thresholds) -> Sample:
-        """The approach, the curve of close times, and the rule over it."""
-        scene = self.scene
-        end = scene.reference
+    def approach(self) -> bool:
+        """The recorded hand through the object up to the close; whether the recorded failure happens there too."""
+        scene, end = self.scene, self.scene.reference
         centres = np.array([self.hand_at(k) @ np.append(GRASP_CENTRE, 1.0) for k in range(end + 1)])[:, :3]
         path = np.array([self.undisturbed(k)[:3] for k in range(end + 1)])
         reach = NEAR_CENTRE + 0.5 * float(np.linalg.norm(self.thing.extent()))
         near = np.flatnonzero(np.linalg.norm(centres - path, axis=1) < reach)
         if not len(near):
+            self._approached = None
+            return True
+        first = end - (end - int(near[0])) // 3 * 3
+        self._approached = self._approach(first, end)
+        works, self._height = (False, 0.0) if scene.close is None else self._close_at(self._approached.states[end], end)
+        return not works
+
+    def decide(self, thresholds: Thresholds, reproduced: bool) -> Sample:
+        """After `approach`: the curve of close times, and the rule over it."""
+        scene, end, made = self.scene, self.scene.reference, self._approached
+        if made is None:
             facts = Facts(scene.close is not None, 0.0, 0.0, (), None, 0.0)
             return Sample(Verdict("imprecise_pose", "missed"), facts, scene.close is None, None, None)
-        first = end - (end - int(near[0])) // 3 * 3
-        states, off, contact, link = self._approach(first, end)
-        tried = self._earlier(states, first, contact)
-        reproduced, height = True, 0.0
+        contact = made.contact
+        tried = self._earlier(made.states, min(made.states), contact)
         if scene.close is not None:
-            works, height = self._close_at(states[end], end)
-            reproduced = not works
             tried[end] = False  # what was recorded, whatever the twin says
         curve = [((k - end) * CONTROL_S, tried[k]) for k in sorted(tried)]
         if scene.close is not None:
-            curve += self._later(states[end], end)
-        metres, degrees = off.max(axis=0)
+            curve += self._later(made.states[end], end)
         facts = Facts(
-            scene.close is not None, float(metres), float(degrees), tuple((round(a, 3), b) for a, b in curve),
-            None if contact is None else round((contact - 1 - end) * CONTROL_S, 3), height,
+            scene.close is not None, made.off_m, made.off_deg, tuple((round(a, 3), b) for a, b in curve),
+            None if contact is None else round((contact - 1 - end) * CONTROL_S, 3), self._height,
         )  # fmt: skip
         while isinstance(answer := classify(facts, thresholds), Needs):
             if answer.fact == "free_pose":
@@ -263,7 +297,7 @@ class Twin:
                 overlap = self.touching()[1]
                 works = self.close(self.hand_at(k), scene.hand.velocity[k], scene.hand.fingers[k])[0]
                 facts = replace(facts, overlap_m=overlap, put_back=works)
-        return Sample(answer, facts, reproduced, None if contact is None else (contact - end) * CONTROL_S, link)
+        return Sample(answer, facts, reproduced, None if contact is None else (contact - end) * CONTROL_S, made.link)
 
     def _earlier(self, states: dict[int, Array], first: int, contact: int | None) -> dict[int, bool]:
         """Close times up to the real one, backwards until two in a row work; past a push, until two before it do."""
@@ -299,15 +333,18 @@ class Twin:
         T[:3, :3], T[:3, 3] = R.reshape(3, 3), self.data.qpos[self._hand : self._hand + 3]
         return T
 
-    def _approach(self, first: int, end: int) -> tuple[dict[int, Array], Array, int | None, str | None]:
-        """The recorded hand through the object: states by tick, distance m and degrees off the path, first moving contact."""
+    def _approach(self, first: int, end: int) -> Approach:
         self.at(first)
         states: dict[int, Array] = {}
         off = np.zeros((end - first + 1, 2))
-        contact, link = None, None
+        contact, link, reached = None, None, False
         for k in range(first, end + 1):
-            self._resync(k)
+            reached = reached or self._within(REACHED_M)
             pose, free = self.data.qpos[self._object : self._object + 7], self.undisturbed(k)
+            if reached:
+                self._resync(k)
+            else:
+                pose[:2] = free[:2]
             off[k - first, 0] = np.linalg.norm(pose[:3] - free[:3])
             dot = abs(float(pose[3:7] @ free[3:7]))
             off[k - first, 1] = 0.0 if self.thing.rolls else np.degrees(2 * np.arccos(min(1.0, dot)))
@@ -322,7 +359,7 @@ class Twin:
                 self.data.ctrl[self._drives] = self.scene.hand.fingers[k]
                 self._move(a, (b[:3, 3] - a[:3, 3]) / CONTROL_S, rotation_vector(b[:3, :3] @ a[:3, :3].T) / CONTROL_S)
                 self._put_hand(b, *self.twist(k + 1))
-        return states, off, contact, link
+        return Approach(states, float(off[:, 0].max()), float(off[:, 1].max()), contact, link)
 
     def _later(self, state: Array, end: int) -> list[tuple[float, bool]]:
         """The approach gone on with at constant twist and open fingers after the close."""
