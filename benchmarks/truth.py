@@ -18,14 +18,18 @@ from dgeval.geometry import invert, matrix_from_pose, rotation_angle
 from dgeval.recording.messages import poses_of
 from dgeval.recording.trials import TrialSpec, find_trials, open_trial
 from dgeval.run import file_name
+from matplotlib.figure import Figure
 
-from benchmarks.result import number, table, write
+from benchmarks.result import RESULTS, number, table, write
 
-POSE = [f"model_{n}" for n in ("px", "py", "pz", "qx", "qy", "qz", "qw")]
+POSE, OBJECT = ([f"{of}_{n}" for n in ("px", "py", "pz", "qx", "qy", "qz", "qw")] for of in ("model", "object"))
+BINS = np.array([-2.0, -1.5, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 1.5])  # s from the close
 
 
 def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
     """One row per frame with a pose: t_s, accepted, position_m, angle_deg, velocity_m_s; t_sight_s and t_close_s of the trial.
+
+    hindsight_m and `by`: the same for the pose that the second pass has in that frame, where it has one.
 
     The model's frame is arbitrary: its pose on the object is taken from the first frame that has one. t_sight_s: when the
     simulated camera first lost the object for a quarter of a second (no belief mask), at the latest the close.
@@ -50,6 +54,8 @@ def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
     gaps = [a for a, b in pairwise(masks) if b - a > 250_000_000] or masks[-1:] or [start]
     sight = min((gaps[0] - start) * 1e-9, close)
     frames = pd.read_parquet(run / "frames" / f"{file_name(spec.id)}.parquet")
+    looked = run / "hindsight" / f"{file_name(spec.id)}.parquet"
+    again = pd.read_parquet(looked).set_index("frame") if looked.is_file() else pd.DataFrame()
     rows, T_model_object = [], None
     times = sorted(truth)
     for _, row in frames[frames["model_px"].notna()].iterrows():
@@ -62,6 +68,11 @@ def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
         if T_model_object is None:
             T_model_object = invert(T_base_model) @ truth[t_ns]
         T, T_true = T_base_model @ T_model_object, truth[t_ns]
+        late, by = np.nan, None
+        if row["frame"] in again.index:
+            there = again.loc[row["frame"]]
+            T_late = matrix_from_pose(there[OBJECT].to_numpy(dtype=float)) @ T_model_object
+            late, by = float(np.linalg.norm(T_late[:3, 3] - T_true[:3, 3])), there["by"]
         moved = truth[times[k + 5]][:3, 3] - truth[times[k - 5]][:3, 3]
         v_true = moved / ((times[k + 5] - times[k - 5]) * 1e-9)
         v = row[["velocity_x", "velocity_y", "velocity_z"]].to_numpy(dtype=float)
@@ -72,18 +83,22 @@ def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
                 "position_m": float(np.linalg.norm(T[:3, 3] - T_true[:3, 3])),
                 "angle_deg": float(np.degrees(rotation_angle(T[:3, :3].T @ T_true[:3, :3]))),
                 "velocity_m_s": float(np.linalg.norm(v - v_true)),
+                "hindsight_m": late,
+                "by": by,
             }
         )
-    columns = ["t_s", "accepted", "position_m", "angle_deg", "velocity_m_s"]
+    columns = ["t_s", "accepted", "position_m", "angle_deg", "velocity_m_s", "hindsight_m", "by"]
     out = pd.DataFrame(rows, columns=columns)
     return out.assign(t_sight_s=sight, t_close_s=close)
 
 
 def main() -> None:
     run, manifest = Path(sys.argv[1]), Path(sys.argv[2])
-    rows = []
-    for spec in find_trials([manifest]):
+    rows, closes = [], []
+    done = set(pd.read_parquet(run / "trials.parquet")["trial"])
+    for spec in [s for s in find_trials([manifest]) if s.id in done]:
         found = errors_against_truth(spec, run)
+        closes.append(found.assign(trial=spec.id))
         seen = found[found["accepted"] & (found["t_s"] > 1.0) & (found["t_s"] < found["t_sight_s"])]
         rows.append({"object": spec.object, "speed": spec.speed, "n": len(seen), **seen.median(numeric_only=True).to_dict()})
     everything = pd.DataFrame(rows)
@@ -95,8 +110,48 @@ def main() -> None:
         ]
         head = [by, "trials", "frames", "position mm", "angle deg", "velocity mm/s", "worst trial, mm"]
         lines += [f"By {by}, medians over trials of each trial's median while in sight, after 1 s:", table(head, cells)]
+    lines += through_the_close(pd.concat(closes), run)
     command = f"python -m benchmarks.truth RUN {manifest.name}"
     write("truth", "Replay of simulated recordings against the truth", command, lines)
+
+
+def through_the_close(frames: pd.DataFrame, run: Path) -> list[str]:
+    """Table of the causal pass against hindsight around the close, and the same as a plot in results/gap.png."""
+    trials = pd.read_parquet(run / "trials.parquet").set_index("trial")
+    closed = frames[frames["trial"].map(trials["t_close_ns"].notna())]
+    since = closed["t_s"] - closed["t_close_s"]
+    cells, drawn = [], []
+    for a, b in pairwise(BINS):
+        part = closed[(since >= a) & (since < b)]
+        both = [part["position_m"] * 1e3, part["hindsight_m"] * 1e3]
+        seen = f"{part['accepted'].mean():.0%}" if len(part) else "–"
+        cells.append([f"{a:+.2f} to {b:+.2f}", str(len(part)), seen])
+        quantiles = [float(v.quantile(q)) if v.notna().any() else np.nan for v in both for q in (0.5, 0.9)]
+        cells[-1] += [number(v) for v in quantiles]
+        drawn.append(((a + b) / 2, *quantiles))
+    gaps = trials[trials["t_close_ns"].notna()]
+    sided = ", ".join(f"{side}: {n}" for side, n in gaps["gap_sided"].value_counts().items())
+    figure = Figure(figsize=(6.4, 3.0), layout="constrained")
+    axis = figure.subplots()
+    t, causal, causal90, hindsight, hindsight90 = np.array(drawn).T
+    for name, colour, middle, high in (
+        ("causal pass", "#d95f02", causal, causal90), ("hindsight", "#1f77b4", hindsight, hindsight90),
+    ):  # fmt: skip
+        axis.plot(t, middle, color=colour, label=f"{name}, median")
+        axis.plot(t, high, color=colour, ls=":", label=f"{name}, 90 %")
+    axis.set_yscale("log")
+    axis.axvline(0.0, color="#333", lw=0.8, ls="--")
+    axis.set_xlabel("time from the close [s]")
+    axis.set_ylabel("position error [mm]")
+    axis.legend(fontsize=8, frameon=False)
+    RESULTS.mkdir(exist_ok=True)
+    figure.savefig(RESULTS / "gap.png", dpi=110, metadata={"Software": None})
+    head = ["s from the close", "frames", "registered", "causal mm", "90 %", "hindsight mm", "90 %"]
+    return [
+        f"Through the close of {len(gaps)} trials, against where the object really was (gap sided {sided}; the median gap is "
+        f"{gaps['gap_s'].median():.2f} s, the longest {gaps['gap_s'].max():.2f} s). Plot: gap.png.",
+        table(head, cells),
+    ]
 
 
 MEASURES = (("position_m", 1e3), ("angle_deg", 1.0), ("velocity_m_s", 1e3))

@@ -8,12 +8,13 @@ from __future__ import annotations
 import difflib
 import tomllib
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dgeval.errors import Place, UsageError
 
+Model = TypeVar("Model", bound=BaseModel)
 Pose7 = tuple[float, float, float, float, float, float, float]
 
 
@@ -208,6 +209,16 @@ def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) ->
         return Config.model_validate(values)
     except ValidationError as error:
         raise UsageError("; ".join(_explain(e) for e in error.errors())) from error
+
+
+def validated(model: type[Model], values: dict[str, Any], what: str, path: Path) -> Model:
+    """A file's values as a model; UsageError names the file and the first key at fault."""
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        first: Any = error.errors()[0]
+        where = ".".join(str(p) for p in first["loc"])
+        raise UsageError(f"{what}: {where}: {first['msg']}", Place(str(path))) from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:

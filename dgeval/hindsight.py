@@ -12,10 +12,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from filterpy.common import Q_discrete_white_noise
-from filterpy.kalman import KalmanFilter
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from dgeval.config import Config
 from dgeval.geometry import Array, invert, rotation_angle, transform
@@ -26,22 +22,20 @@ from dgeval.stages.perception import Perception
 from dgeval.stages.plane import Plane
 from dgeval.stages.registration import register
 from dgeval.stages.self_filter import signed_distance
+from dgeval.stages.smoothing import Path, Sighting, smooth
 from dgeval.stages.tracking_model import ModelTracker
 from dgeval.stages.types import Model, Observation
 
 GapSided = Literal["none", "one", "two"]
-By = Literal["registration", "depth", "colour"]
-ACCELERATIONS = (0.002, 0.05, 0.5)  # m/s^2; the most likely of them describes how smoothly the object moves
 CONTACT_M = 0.006  # m; a hand this near may be pushing: measured clouds are not more exact
 NO_GAP_S = 0.1
 WINDOW_BEFORE_S, WINDOW_AFTER_S = 4.0, 4.0  # around the close, where frames are looked at again
-# m; of one sighting. Registration is precise but wobbles slowly by 1-3 mm as views change: less would be taken for motion
-SIGMA: dict[By, float] = {"registration": 0.002, "depth": 0.004, "colour": 0.004}
 CELL = 0.003  # m; of the surface that is kept
 FIRST_S = 0.5  # from which the path is begun
 OFF_PATH_M, OFF_PATH_RAD, OFF_PATH_COUNT = 0.006, 0.12, 3  # sightings in a row this far off the path so far
 PUSHING_M = 0.030  # m; hand to the sighted object, when it leaves its path
 MIN_COLOUR = 12  # features
+RISEN_M, HELD_M = 0.05, 0.015  # the palm off its place at the close; the object off its place in the palm
 
 
 class Surface:
@@ -93,54 +87,21 @@ class Seen:
     support: Plane | None
 
 
-@dataclass(frozen=True)
-class Sighting:
-    """Where the object was at a time: T_base_model; `by` an accepted registration, the tracker's alignment to depth, colour.
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Where hindsight has the object in a frame: T_base_model, and how it knows; the nearest link of the hand.
 
-    `again`: found by the second pass.
+    by: `path` (undisturbed), a sighting's word, `hand` (moves with the hand), `support` (pushed, moves on with what it
+    stands on). sd m of the position, None but on the path. distance: signed, m, None without hand geometry.
     """
 
+    index: int
     t_ns: int
     T_base_model: Array
-    by: By
-    again: bool
-
-
-@dataclass(frozen=True)
-class Path:
-    """The undisturbed path of the model's centroid: t_ns (n,), position and velocity (n, 3), sd (n,) m of the position.
-
-    Beyond both ends it goes on at constant velocity. R (3, 3): the model's orientation in the base frame, sd_angle rad.
-    """
-
-    t_ns: NDArray[np.int64]
-    position: Array
-    velocity: Array
-    sd: Array
-    sd_velocity: float
-    R: Array
-    sd_angle: float
-    centroid: Array
-
-    def at(self, t_ns: int) -> Array:
-        """T_base_model."""
-        i = int(np.clip(np.searchsorted(self.t_ns, t_ns) - 1, 0, len(self.t_ns) - 1))
-        if self.t_ns[0] < t_ns < self.t_ns[-1]:
-            share = (t_ns - self.t_ns[i]) / (self.t_ns[i + 1] - self.t_ns[i])
-            centre = (1 - share) * self.position[i] + share * self.position[i + 1]
-        else:
-            i = 0 if t_ns <= self.t_ns[0] else len(self.t_ns) - 1
-            centre = self.position[i] + self.velocity[i] * (t_ns - self.t_ns[i]) * 1e-9
-        T = np.eye(4)
-        T[:3, :3] = self.R
-        T[:3, 3] = centre - self.R @ self.centroid
-        return T
-
-    def sd_at(self, t_ns: int) -> float:
-        """Standard deviation of the position, m, growing outside with the velocity's."""
-        i = int(np.argmin(np.abs(self.t_ns - t_ns)))
-        outside = max(0, t_ns - int(self.t_ns[-1]), int(self.t_ns[0]) - t_ns) * 1e-9
-        return float(np.hypot(self.sd[i], self.sd_velocity * outside))
+    by: Literal["path", "registration", "depth", "colour", "hand", "support"]
+    sd: float | None
+    distance: float | None
+    link: str | None
 
 
 @dataclass(frozen=True)
@@ -150,7 +111,7 @@ class Hindsight:
     contact_ns: first time before the close at which the hand was within CONTACT_M of it on its free path, and the link.
     pushed_ns: when it was seen to leave that path with the hand at it. n_registered: sightings by an accepted registration
     up to the close. gap_s: from the last sighting to the close; None
-    without a close.
+    without a close. moments: frame by frame from WINDOW_BEFORE_S before the close on; empty without an attempt.
     """
 
     path: Path
@@ -163,6 +124,7 @@ class Hindsight:
     n_registered: int
     gap_s: float | None
     gap_sided: GapSided
+    moments: tuple[Moment, ...]
     notes: tuple[str, ...]
 
 
@@ -209,14 +171,25 @@ def look_back(trial: Trial, seen: list[Seen], surface: Surface, perception: Perc
     ]
     sightings = sorted([*sightings, *found], key=lambda s: s.t_ns)
     path, pushed_ns = _free_path(trial, sightings, model, centroid, end_ns)
-    contact = _first_contact(trial, seen, path, model, end_ns)
+    moments = _moments(trial, seen, path, sightings, model, pushed_ns, end_ns) if attempt else ()
+    contact = next((m for m in moments if m.t_ns <= end_ns and m.distance is not None and m.distance < CONTACT_M), None)
     notes = [] if support is not None else ["hindsight: no support plane was seen"]
     close_ns = trial.event_ns("close")
     gap, sided = _gap(sightings, close_ns)
-    contact_ns, link = contact or (None, None)
     registered = sum(s.by == "registration" and s.t_ns <= end_ns for s in sightings)
     return Hindsight(
-        path, tuple(sightings), model.points, support, contact_ns, link, pushed_ns, registered, gap, sided, tuple(notes)
+        path,
+        tuple(sightings),
+        model.points,
+        support,
+        None if contact is None else contact.t_ns,
+        None if contact is None else contact.link,
+        pushed_ns,
+        registered,
+        gap,
+        sided,
+        moments,
+        tuple(notes),
     )
 
 
@@ -263,62 +236,6 @@ def _free_path(trial: Trial, sightings: list[Sighting], model: Model, centroid: 
     return smooth(used, centroid), None
 
 
-def smooth(sightings: list[Sighting], centroid: Array) -> Path:
-    """Rauch-Tung-Striebel smoothing of the model's centroid, and its mean orientation.
-
-    How smoothly the object moves is found out: of ACCELERATIONS the one that makes the sightings most likely.
-    """
-    t_ns = np.array([s.t_ns for s in sightings], dtype=np.int64)
-    t = (t_ns - t_ns[0]) * 1e-9
-    places = np.array([transform(s.T_base_model, centroid[None])[0] for s in sightings])
-    sigma = np.array([SIGMA[s.by] for s in sightings])
-    best = max((_rts(t, places, sigma, a) for a in ACCELERATIONS), key=lambda r: r[0])
-    _, states, covariances = best
-    turns = Rotation.from_matrix(np.array([s.T_base_model[:3, :3] for s in sightings]))
-    mean = turns.mean(weights=1 / sigma**2)
-    spread = (mean.inv() * turns).magnitude()
-    return Path(
-        t_ns,
-        states[:, :3],
-        states[:, 3:],
-        np.sqrt(np.array([np.linalg.eigvalsh(P[:3, :3])[-1] for P in covariances])),
-        float(np.sqrt(np.linalg.eigvalsh(covariances[-1][3:, 3:])[-1])),
-        mean.as_matrix(),
-        float(np.median(spread)),
-        centroid,
-    )
-
-
-def _rts(t: Array, places: Array, sigma: Array, acceleration: float) -> tuple[float, Array, Array]:
-    """Log likelihood, smoothed states (n, 6) and covariances (n, 6, 6) of a constant-velocity model."""
-    f = KalmanFilter(dim_x=6, dim_z=3)
-    f.x = np.concatenate([places[0], np.zeros(3)]).reshape(6, 1)
-    f.P = np.diag([sigma[0] ** 2] * 3 + [0.25] * 3)
-    f.H = np.hstack([np.eye(3), np.zeros((3, 3))])
-    states, covariances = [f.x[:, 0].copy()], [f.P.copy()]
-    transitions, noises = [], []
-    likelihood = 0.0
-    for k in range(1, len(t)):
-        dt = t[k] - t[k - 1]
-        F = np.eye(6)
-        F[:3, 3:] = np.eye(3) * dt
-        Q = Q_discrete_white_noise(2, dt, acceleration**2, block_size=3, order_by_dim=False) + 1e-14 * np.eye(6)
-        f.predict(F=F, Q=Q)
-        f.update(places[k].reshape(3, 1), R=np.eye(3) * sigma[k] ** 2)
-        likelihood += float(f.log_likelihood)
-        states.append(f.x[:, 0].copy())
-        covariances.append(f.P.copy())
-        transitions.append(F)
-        noises.append(Q)
-    if len(t) > 1:
-        # filterpy's Fs[k + 1] leads from k to k + 1
-        xs, Ps, _, _ = f.rts_smoother(
-            np.array(states)[:, :, None], np.array(covariances), [transitions[0], *transitions], [noises[0], *noises]
-        )
-        return likelihood, np.asarray(xs[:, :, 0]), np.asarray(Ps)
-    return likelihood, np.array(states), np.array(covariances)
-
-
 def _support(seen: list[Seen]) -> Plane | None:
     """The surface the object stands on, base frame: the median of what the frames say."""
     planes = [s.support for s in seen if s.support is not None]
@@ -359,18 +276,57 @@ def nearest_link(trial: Trial, t_ns: int, points_base: Array, link: str | None) 
     return best
 
 
-def _first_contact(trial: Trial, seen: list[Seen], path: Path, model: Model, end_ns: int) -> tuple[int, str] | None:
-    """First frame up to the close in which the hand is within CONTACT_M of the object on its free path."""
+def _moments(
+    trial: Trial, seen: list[Seen], path: Path, sightings: list[Sighting], model: Model, pushed_ns: int | None, end_ns: int
+) -> tuple[Moment, ...]:
+    """The object in every frame from some seconds before the close on, and the hand's nearest link.
+
+    Up to the push, or the close, it is on its path. Afterwards it is where it is seen; between sightings it moves with the
+    hand if it was seen to, else, up to the close, with what it stands on.
+    """
     step = max(1, len(model.points) // 400)
+    left_ns = end_ns if pushed_ns is None else min(pushed_ns, end_ns)
+    in_hand = _in_hand(trial, sightings, end_ns)
+    at = {s.t_ns: s for s in sightings}
+    out = []
+    last: tuple[int, Array] | None = None
     for s in seen:
-        if s.t_ns > end_ns:
-            break
         if (end_ns - s.t_ns) * 1e-9 > WINDOW_BEFORE_S:
             continue
-        near = hand_distance(trial, s.t_ns, transform(path.at(s.t_ns), model.points[::step]))
-        if near is not None and near[0] < CONTACT_M:
-            return s.t_ns, near[1]
-    return None
+        by: Literal["path", "registration", "depth", "colour", "hand", "support"] = "path"
+        T, sd = path.at(s.t_ns), None
+        palm = trial.robot.T_base_palm(s.t_ns)
+        if s.t_ns <= left_ns:
+            sd = path.sd_at(s.t_ns)
+        elif s.t_ns in at:
+            T, by = at[s.t_ns].T_base_model, at[s.t_ns].by
+            last = s.t_ns, T
+        elif in_hand is not None and palm is not None and s.t_ns > in_hand[0]:
+            T, by = palm @ in_hand[1], "hand"
+        elif last is not None and s.t_ns <= end_ns:
+            T, by = last[1].copy(), "support"
+            T[:3, 3] += path.velocity[-1] * (s.t_ns - last[0]) * 1e-9
+        else:
+            continue  # closing fingers may have taken it anywhere
+        near = hand_distance(trial, s.t_ns, transform(T, model.points[::step]))
+        out.append(Moment(s.index, s.t_ns, T, by, sd, *(near or (None, None))))
+    return tuple(out)
+
+
+def _in_hand(trial: Trial, sightings: list[Sighting], end_ns: int) -> tuple[int, Array] | None:
+    """From when on, and T_palm_model, if the object was seen to move with the palm while that rose; None else."""
+    then = trial.robot.T_base_palm(end_ns)
+    after = [(s, palm) for s in sightings if s.t_ns > end_ns and (palm := trial.robot.T_base_palm(s.t_ns)) is not None]
+    risen = [(s, palm) for s, palm in after if then is not None and np.linalg.norm(palm[:3, 3] - then[:3, 3]) > RISEN_M]
+    if len(risen) < 3:
+        return None
+    held = [invert(palm) @ s.T_base_model for s, palm in risen]
+    typical = held[int(np.argmin([np.median([np.linalg.norm(a[:3, 3] - b[:3, 3]) for b in held]) for a in held]))]
+    if float(np.median([np.linalg.norm(T[:3, 3] - typical[:3, 3]) for T in held])) > HELD_M:
+        return None
+    # back to the first sighting after the close from which on it lay so in the hand
+    with_it = [s.t_ns for s, palm in after if np.linalg.norm((invert(palm) @ s.T_base_model)[:3, 3] - typical[:3, 3]) < HELD_M]
+    return with_it[0], typical
 
 
 def _look(

@@ -214,6 +214,15 @@ class ReviewWriter:
         rec.log("world/hindsight/free_path", rr.LineStrips3D([centres], colors=OBJECT, radii=0.001), static=True)
         seen = [transform(s.T_base_model, hindsight.path.centroid[None])[0] for s in hindsight.sightings]
         rec.log("world/hindsight/sightings", rr.Points3D(seen, colors=(90, 160, 250), radii=0.002), static=True)
+        for m in hindsight.moments:
+            if m.distance is None:
+                continue
+            rec.reset_time()
+            self._at(m.t_ns)
+            if decisive_ns is not None and decisive_ns - BEFORE_S * 1e9 <= m.t_ns <= decisive_ns:
+                rec.set_time(DECISIVE, duration=(m.t_ns - self._start_ns) * 1e-9)
+            rec.log("plots/distance", rr.Scalars(1000 * m.distance))
+        rec.reset_time()
         if decisive_ns is None:
             return
         step = max(1, len(hindsight.points) // self._config.review.cloud_points)
@@ -261,6 +270,7 @@ def _blueprint(target: Array | None) -> rrb.Blueprint:
         rrb.TimeSeriesView(origin="plots/error", name="error hand to grasp"),
         rrb.TimeSeriesView(origin="plots/velocity", name="estimated velocity, m/s"),
         rrb.TimeSeriesView(origin="plots/score", name="score"),
+        rrb.TimeSeriesView(origin="plots/distance", name="hand to object by hindsight, mm"),
         rrb.TimeSeriesView(origin="plots/registration", name="registration"),
         rrb.StateTimelineView(origin="phase", name="phase"),
     )

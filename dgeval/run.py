@@ -21,12 +21,22 @@ from dgeval import __version__
 from dgeval.config import Config
 from dgeval.determinism import fingerprint, limit_threads
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError
-from dgeval.geometry import Array
+from dgeval.geometry import Array, pose_from_matrix
 from dgeval.hindsight import Hindsight, Seen, Surface, look_back, seen_of
 from dgeval.recording.containers import describe
 from dgeval.recording.trials import Trial, TrialSpec, open_trial
 from dgeval.replay import Step, replay
-from dgeval.schema import FRAMES, FRAMES_ADDED, SCHEMA_VERSION, TIMINGS, TRIALS, StageDigests, arrow_schema, arrow_table
+from dgeval.schema import (
+    FRAMES,
+    FRAMES_ADDED,
+    HINDSIGHT,
+    SCHEMA_VERSION,
+    TIMINGS,
+    TRIALS,
+    StageDigests,
+    arrow_schema,
+    arrow_table,
+)
 from dgeval.stages.perception import Perception
 from dgeval.verdict.judge import Judgement, judge
 from dgeval.verdict.picture import decisive_picture
@@ -153,6 +163,8 @@ def _replay_trial(
     sizes = view.close(out / "review" / f"{name}.rrd", hindsight, judgement) if view is not None else None
     if hindsight is not None:
         _write_picture(out / "pictures" / f"{name}.jpg", recent, judgement, hindsight, trial)
+        (out / "hindsight").mkdir(exist_ok=True)
+        _write_table(out / "hindsight" / f"{name}.parquet", arrow_table(HINDSIGHT, _hindsight_rows(hindsight)))
     if model is not None:
         _write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
@@ -213,6 +225,17 @@ def _trial_row(
         **judgement.columns,
     }
     return row, exit_code, messages
+
+
+def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:
+    names = [f"object_{n}" for n in ("px", "py", "pz", "qx", "qy", "qz", "qw")]
+    return [
+        {
+            "frame": m.index, "t_ns": m.t_ns, "by": m.by, "sd": m.sd, "hand_distance": m.distance, "hand_link": m.link,
+            **dict(zip(names, pose_from_matrix(m.T_base_model).tolist(), strict=True)),
+        }
+        for m in hindsight.moments
+    ]  # fmt: skip
 
 
 def _as_jpeg(step: Step) -> bytes:

@@ -118,6 +118,15 @@ TRIALS: tuple[Column, ...] = (
     *(Column(f"digest_{stage}", "str", "", f"SHA-256 over the frame columns of stage {stage}", "trial") for stage in STAGES),
 )  # fmt: skip
 
+HINDSIGHT: tuple[Column, ...] = (
+    Column("frame", "int", "", "index in the trial", "hindsight"),
+    Column("t_ns", "int", "ns", "header stamp of the colour image", "hindsight"),
+    *_pose("object", "T_base_model: where the whole log has the object; model frame as in frames", "hindsight"),
+    Column("by", "str", "", "path (undisturbed), registration, depth, colour, hand or support (moves with it)", "hindsight"),
+    Column("sd", "float", "m", "of the position; on the path only", "hindsight"),
+    Column("hand_distance", "float", "m", "signed distance of the hand's nearest link to the object", "hindsight"),
+    Column("hand_link", "str", "", "that link", "hindsight"),
+)
 TIMINGS: tuple[Column, ...] = (
     Column("trial", "str", "", "id", "timing"),
     Column("frame", "int", "", "index in the trial", "timing"),

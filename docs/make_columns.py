@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dgeval.schema import FRAMES, FRAMES_ADDED, SCHEMA_VERSION, TIMINGS, TRIALS, Column
+from dgeval.schema import FRAMES, FRAMES_ADDED, HINDSIGHT, SCHEMA_VERSION, TIMINGS, TRIALS, Column
 
 
 def page() -> str:
@@ -19,6 +19,7 @@ def page() -> str:
     tables: tuple[tuple[str, tuple[Column, ...]], ...] = (
         ("frames/<trial>.parquet, one row per paired frame", FRAMES),
         ("frames, added since (in no digest)", FRAMES_ADDED),
+        ("hindsight/<trial>.parquet, one row per frame around a grasp attempt", HINDSIGHT),
         ("trials.parquet", TRIALS),
         ("timings.parquet", TIMINGS),
     )

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from benchmarks.verdict import scene_from
 from dgeval.geometry import transform
-from dgeval.hindsight import Sighting, Surface, smooth
+from dgeval.hindsight import Surface
 from dgeval.physics.objects import surface_points, ten_objects
 from dgeval.physics.shape import solid_from_cloud
 from dgeval.report.statistics import calibration_error, confusion, macro_f1, wilson
@@ -20,6 +20,7 @@ from dgeval.report.summary import failure_shares, published, read_truth, success
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, load_scenario
+from dgeval.stages.smoothing import Sighting, smooth
 from dgeval.stages.types import Model
 from dgeval.taxonomy import Thresholds
 from dgeval.verdict.causes import CLASSES, Cause, cause_of
@@ -84,6 +85,17 @@ def test_solid_from_what_a_camera_above_sees(name: str) -> None:
         assert [p.kind for p in solid.parts] == (["sphere"] if name == "apple" else ["hull"])
 
 
+@pytest.mark.parametrize("name", ["sugar_box", "rubiks_cube", "foam_brick"])
+def test_noise_does_not_swell_a_solid(name: str) -> None:
+    thing = ten_objects()[name]
+    rng = np.random.default_rng(1)
+    points = surface_points(thing, 2500, rng) + np.array([0.0, 0.0, thing.rest_height()])
+    points = points[points[:, 2] > 0.006]
+    solid, _ = solid_from_cloud(points + rng.normal(0, 0.0012, points.shape), "object")
+    # the farthest of noisy points stand out by 2.5 mm on each side; a hull of them makes every pass of a finger a push
+    assert np.abs(solid.extent() - thing.extent()).max() < 0.004  # 5.5 mm without smoothing
+
+
 def test_cloud_without_volume_is_refused() -> None:
     with pytest.raises(ValueError, match="no volume"):
         solid_from_cloud(np.zeros((50, 3)), "object")
@@ -115,6 +127,20 @@ def test_twin_finds_an_offset_that_no_close_time_saves(tmp_path: Path) -> None:
     true, said = cause(tmp_path, Faults(grasp_offset=(0, 0.05, 0, 0, 0, 0)), "gelatin_box")
     assert true == "imprecise_pose"
     assert said.failure_class == "imprecise_pose"
+
+
+def test_an_error_of_the_path_far_from_the_hand_is_no_push(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
+    plan = Plan("t", "sugar_box", 0.08, 0.47, -0.2, 0.3, -0.2, Faults(close_shift=-2.0), 5, 0)
+    run, world = simulate(campaign, plan)
+    scene = scene_from(run, world, 7)
+    seen = scene.seen.copy()
+    early = np.arange(len(seen)) < 20
+    seen[early, :3, 3] += [0.03, 0.0, 0.0]
+    for sample in cause_of(replace(scene, seen=seen), "twin", 1, 0, 0.0, Thresholds()).samples:
+        assert sample.facts.displacement_m < 0.005
 
 
 def test_probabilities_are_shares(tmp_path: Path) -> None:
@@ -164,6 +190,16 @@ def test_verdicts_on_the_committed_recordings_and_their_report(smoke_run: Path, 
         else:
             assert pd.isna(row["failure_class"])
         assert (smoke_run / "pictures" / f"{trial}.jpg").is_file()
+        looked = pd.read_parquet(smoke_run / "hindsight" / f"{trial}.parquet")
+        closed = looked[looked["t_ns"] <= row["t_close_ns"]] if pd.notna(row["t_close_ns"]) else looked
+        if row["failure_class"] == "collision":
+            touched = closed[closed["hand_distance"] < 0.006]
+            assert str(touched["hand_link"].iloc[0]).split("_")[0] in ("thumb", "index", "middle", "ring", "little", "palm")
+            assert closed["by"].iloc[-1] != "path"  # it was seen to leave it
+        elif known["outcome"] == "success":
+            assert closed["by"].iloc[-1] == "path"
+            assert closed["hand_distance"].iloc[-1] < 0.05
+            assert closed["hand_distance"].iloc[0] > closed["hand_distance"].iloc[-1]
     assert right >= 3  # of four; the mug is registered too seldom to say anything
 
     done = dgeval("report", smoke_run, "--truth", SMOKE / "ci-smoke.toml", "--out", tmp_path)

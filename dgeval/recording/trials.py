@@ -11,9 +11,9 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from dgeval.config import Config, read_toml
+from dgeval.config import Config, read_toml, validated
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics, matrix_from_pose
 from dgeval.recording.containers import Opened, open_container, sha256_of
@@ -129,12 +129,7 @@ def _of_recording(path: Path, name: str, events_topic: str | None) -> list[Trial
 
 def _from_manifest(path: Path) -> list[TrialSpec]:
     values = read_toml(path)
-    try:
-        manifest = _Manifest.model_validate(values)
-    except ValidationError as error:
-        first: Any = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"])
-        raise UsageError(f"manifest: {where}: {first['msg']}", Place(str(path))) from error
+    manifest = validated(_Manifest, values, "manifest", path)
     out = []
     for entry in manifest.trial:
         recording = path.parent / entry.recording

@@ -23,13 +23,14 @@ STYLE = {
 }  # fmt: skip
 
 
-def trial_figure(frames: pd.DataFrame, events: dict[str, int | None]) -> Figure:
-    """Errors, estimated velocity, scores and fitness over seconds; loss and blind stretches shaded, events as lines."""
+def trial_figure(frames: pd.DataFrame, hindsight: pd.DataFrame | None, events: dict[str, int | None]) -> Figure:
+    """Errors, velocity, scores, and the hand's distance to the object by hindsight over seconds; blind stretches shaded."""
     start = int(frames["t_ns"].iloc[0])
     t = (frames["t_ns"] - start).to_numpy() * 1e-9
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 5.2), layout="constrained")
-        axes = figure.subplots(3, 1, sharex=True)
+        rows = 3 if hindsight is None else 4
+        figure = Figure(figsize=(7.2, 0.4 + 1.6 * rows), layout="constrained")
+        axes = figure.subplots(rows, 1, sharex=True)
         _lines(axes[0], t, frames, {"error_linear": "lin. error [m]", "error_angular": "rot. error [rad]"})
         axes[0].set_ylabel("hand to grasp")
         velocity = {f"velocity_{a}": f"est. velocity {a}" for a in "xyz"}
@@ -43,7 +44,9 @@ def trial_figure(frames: pd.DataFrame, events: dict[str, int | None]) -> Figure:
         _lines(axes[2], t, frames, {**scores, "icp_gate_fitness": "gate fitness"})
         axes[2].set_ylim(-0.03, 1.05)
         axes[2].set_ylabel("score")
-        axes[2].set_xlabel("time [s]")
+        if hindsight is not None:
+            _distance(axes[3], start, hindsight)
+        axes[-1].set_xlabel("time [s]")
         lost = (frames["tracking"] == "lost").to_numpy()
         blind = frames["predicted"].fillna(False).to_numpy(dtype=bool) & ~lost
         for axis in axes:
@@ -90,6 +93,19 @@ def _lines(axis: Any, t: Any, frames: pd.DataFrame, columns: dict[str, str]) -> 
         axis.legend(loc="best", ncols=len(columns))
     else:
         axis.text(0.5, 0.5, "nothing recorded or computed", transform=axis.transAxes, ha="center", va="center", color="#888")
+
+
+def _distance(axis: Any, start: int, hindsight: pd.DataFrame) -> None:
+    """The hand's distance to the object, mm; thin where the object is where it was seen, or moves with hand or support."""
+    t = (hindsight["t_ns"].to_numpy() - start) * 1e-9
+    mm = 1000 * hindsight["hand_distance"].to_numpy(dtype=float)
+    on_path = (hindsight["by"] == "path").to_numpy()
+    axis.plot(t, np.where(on_path, mm, np.nan), color=COLOURS[0], lw=1.6, label="object on its path")
+    axis.plot(t, np.where(on_path, np.nan, mm), color=COLOURS[1], lw=1.0, label="object as seen, or carried on")
+    axis.axhline(0.0, color="#333", lw=0.7)
+    axis.set_ylim(-30, max(60.0, min(200.0, float(np.nanmax(mm)))) if np.isfinite(mm).any() else 60.0)
+    axis.set_ylabel("hand to object [mm]")
+    axis.legend(loc="upper right")
 
 
 def _shade(axis: Any, t: Any, mask: Any, colour: str) -> None:

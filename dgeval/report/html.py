@@ -62,7 +62,7 @@ def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
             {
                 **row,
                 **trial_summary(frames),
-                "figure": as_data_uri(trial_figure(frames, events)),
+                "figure": as_data_uri(trial_figure(frames, run.hindsight(row["trial"]), events)),
                 "picture": _picture(run.folder / "pictures" / f"{file_name(row['trial'])}.jpg"),
                 "decisive_s": None if row["t_decisive_ns"] is None else (row["t_decisive_ns"] - frames["t_ns"].iloc[0]) * 1e-9,
                 "view": f"dgeval view {run.folder} {row['trial']}",

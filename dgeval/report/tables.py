@@ -26,6 +26,12 @@ class Run:
     def frames(self, trial: str) -> pd.DataFrame:
         return pd.read_parquet(self.folder / "frames" / f"{file_name(trial)}.parquet")
 
+    def hindsight(self, trial: str) -> pd.DataFrame | None:
+        """None where the object was never tracked or there was no grasp to look back at."""
+        path = self.folder / "hindsight" / f"{file_name(trial)}.parquet"
+        rows = pd.read_parquet(path) if path.is_file() else None
+        return None if rows is None or not len(rows) else rows
+
 
 def read_run(folder: Path) -> Run:
     """UsageError where the folder is not a finished run."""

@@ -54,6 +54,13 @@ class Campaign:
     images: bool = True
     format: str = "mcap"
 
+    def _meshes_sha256(self) -> str | None:
+        """Of the meshes' content: a file changed in place makes other trials."""
+        if self.meshes is None:
+            return None
+        files = sorted(p for p in self.meshes.iterdir() if p.is_file())
+        return hashlib.sha256(b"".join(p.name.encode() + sha256_of(p).encode() for p in files)).hexdigest()
+
     @property
     def records_all(self) -> bool:
         """Every trial simulated is recorded: none is chosen, so each is simulated once, in the world with the cameras."""
@@ -63,7 +70,7 @@ class Campaign:
     def key(self) -> str:
         """What a trial's result depends on; how many are wanted is not part of it."""
         scenario = self.scenario.model_dump(mode="json", exclude={"choose", "max_attempts", "trials"})
-        about = [__version__, scenario, self.seed, self.blame, str(self.meshes), fingerprint()]
+        about = [__version__, scenario, self.seed, self.blame, self._meshes_sha256(), fingerprint()]
         if self.format != "mcap":
             about.append(self.format)
         return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from dgeval.config import Config, read_toml
+from dgeval.config import Config, read_toml, validated
 from dgeval.determinism import generator
 from dgeval.errors import Place, UsageError
 from dgeval.physics.objects import ObjectModel
@@ -106,12 +106,7 @@ def load_scenario(name: str) -> Scenario:
         hint = f"did you mean {near[0]}?" if near else f"built in: {', '.join(built_in)}; or give a FILE.toml"
         raise UsageError(f"no scenario {name!r}", hint=hint)
     values: dict[str, Any] = read_toml(path)
-    try:
-        scenario = Scenario.model_validate(values)
-    except ValidationError as error:
-        first: Any = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"])
-        raise UsageError(f"scenario: {where}: {first['msg']}", Place(str(path))) from error
+    scenario = validated(Scenario, values, "scenario", path)
     unknown = sorted(set(scenario.faults) - set(Faults.__dataclass_fields__))
     if unknown:
         known = ", ".join(Faults.__dataclass_fields__)

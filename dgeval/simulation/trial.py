@@ -84,7 +84,6 @@ class Run:
     close: int | None = None
     finish: Finish | None = None
     preshape: Array = field(default_factory=lambda: OPEN.copy())
-    unreachable: int = 0
 
 
 def analytic_score(T_base_palm: Array, T_base_grasp: Array, quality: float, bias: float, c: EvaluatorConfig) -> float:
@@ -156,7 +155,7 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: Sequence[Kno
             velocity_now = usable.velocity
             # the controller knows its stated latency and makes up for it; it doesn't know of a fault
             T_object[:3, 3] += velocity_now * (tick * CONTROL_S - usable.t - faults.latency)
-            chosen = _choose(grasps, T_object, palm, config.selection, world, reachable, run)
+            chosen = _choose(grasps, T_object, palm, config.selection, world, reachable)
             if chosen is not None:
                 T_grasp = T_object @ grasps[chosen].T_object_palm @ increment(np.array(faults.grasp_offset))
                 command = servo.step(t_ns, palm, T_grasp, world.T_base_hand() @ T_hand_camera, T_object[:3, 3], velocity_now)
@@ -203,7 +202,6 @@ def _choose(
     config: object,
     world: World,
     reachable: dict[int, bool],
-    run: Run,
 ) -> int | None:
     """Index of the grasp with the best dynamic metric that the arm can reach; unreachable ones are left out for good."""
     candidates = {k: Grasp(T_object @ g.T_object_palm, 0.5 + 0.5 * g.quality) for k, g in enumerate(grasps)}
@@ -220,6 +218,5 @@ def _choose(
             reachable[k] = residual < 1e-3
         if reachable[k]:
             return k
-        run.unreachable += 1
         candidates.pop(k)
     return None

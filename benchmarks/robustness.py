@@ -1,0 +1,165 @@
+"""Verdicts on changed recordings of the same trials: `python -m benchmarks.robustness MANIFEST… [--trial ID…] --work DIR`.
+
+Nothing is simulated again: each recording is rewritten with one thing changed, replayed, and its verdict set beside the
+truth and beside the verdict on the recording as it is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+from dgeval.config import load_config
+from dgeval.determinism import generator, set_thread_variables
+from dgeval.geometry import increment, matrix_from_pose
+from dgeval.physics.urdf import CAMERA_FRAME
+from dgeval.recording.trials import TrialSpec, find_trials
+from dgeval.recording.write import STORE, McapWriter
+from dgeval.report.summary import read_truth
+from dgeval.run import replay_trial
+from dgeval.simulation.record import COLOUR_TOPIC, DEPTH_TOPIC
+from dgeval.simulation.sensors import D435
+from mcap.reader import make_reader
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from benchmarks.result import RESULTS, table, write
+
+INFO_TOPIC = "/camera/color/camera_info"
+HAND_EYE = np.array([0.003, -0.003, 0.0026, *np.radians([0.6, -0.6, 0.5])])  # 5 mm and 1 degree
+DROPPED, LATE_NS = 0.10, 30_000_000
+CHANGES = (
+    "as recorded", "hand-eye off by 5 mm and 1 degree", "depth noise doubled", "10 % of frames dropped", "no efforts",
+    "no beliefs", "depth stamped 30 ms late",
+)  # fmt: skip
+
+
+def changed(name: str, topic: str, log_ns: int, value: Any, focal: float) -> Any:
+    """One message after a change, None to leave it out. focal: of the colour camera, px."""
+    match name, topic:
+        case ("hand-eye off by 5 mm and 1 degree", "/robot_description"):
+            return replace(value, data=hand_eye(value.data))
+        case ("depth noise doubled", topic) if topic == DEPTH_TOPIC:
+            return replace(value, data=noisier(value.data, log_ns, focal))
+        case ("10 % of frames dropped", topic) if topic in (COLOUR_TOPIC, DEPTH_TOPIC, INFO_TOPIC):
+            return None if generator(0, "dropped", log_ns % 2**31).random() < DROPPED else value
+        case ("no efforts", "/joint_states"):
+            return replace(value, effort=np.zeros(0))
+        case ("no beliefs", topic) if topic.startswith("/dgeval/belief/"):
+            return None
+        case ("depth stamped 30 ms late", topic) if topic == DEPTH_TOPIC:
+            t_ns = value.header.stamp.sec * 10**9 + value.header.stamp.nanosec + LATE_NS
+            stamp = replace(value.header.stamp, sec=t_ns // 10**9, nanosec=t_ns % 10**9)
+            return replace(value, header=replace(value.header, stamp=stamp))
+    return value
+
+
+def hand_eye(description: str) -> str:
+    """The description with the camera elsewhere on the hand than it was."""
+    robot = ElementTree.fromstring(description)
+    joint = next(j for j in robot.iter("joint") if j.find("child").attrib["link"] == CAMERA_FRAME)  # type: ignore[union-attr]
+    origin = joint.find("origin")
+    assert origin is not None
+    xyz, rpy = ([float(v) for v in origin.attrib[k].split()] for k in ("xyz", "rpy"))
+    T = matrix_from_pose(np.array([*xyz, *Rotation.from_euler("xyz", rpy).as_quat()])) @ increment(HAND_EYE)
+    origin.set("xyz", " ".join(repr(float(v)) for v in T[:3, 3]))
+    origin.set("rpy", " ".join(repr(float(v)) for v in Rotation.from_matrix(T[:3, :3]).as_euler("xyz")))
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def noisier(data: NDArray[np.uint8], log_ns: int, focal: float) -> NDArray[np.uint8]:
+    """Compressed depth with twice the noise of the camera's model, in disparity and smooth over a window as there."""
+    depth = cv2.imdecode(data[12:], cv2.IMREAD_UNCHANGED)
+    smooth = cv2.GaussianBlur(generator(0, "noisier", log_ns % 2**31).normal(size=depth.shape), (0, 0), D435.correlation)
+    smooth *= np.sqrt(3) * D435.subpixel_sigma / smooth.std()  # variances add: three more parts beside the one that is there
+    disparity = focal * D435.baseline / np.maximum(depth * D435.depth_unit, 1e-3) + smooth
+    noisy = np.where(depth > 0, focal * D435.baseline / np.maximum(disparity, 1e-3) / D435.depth_unit, 0)
+    png = cv2.imencode(".png", np.clip(np.rint(noisy), 0, 65535).astype(np.uint16))[1].ravel()
+    return np.concatenate([data[:12], png])
+
+
+def rewrite(source: Path, target: Path, name: str) -> None:
+    """The recording with a change, topics and order as they are."""
+    focal = 0.0
+    with source.open("rb") as stream, McapWriter(target) as writer:
+        for schema, channel, m in make_reader(stream).iter_messages():
+            assert schema is not None
+            value = STORE.deserialize_cdr(m.data, schema.name)
+            if channel.topic == INFO_TOPIC:
+                focal = float(value.k[0])
+            value = changed(name, channel.topic, m.log_time, value, focal)
+            if value is not None:
+                writer.write(channel.topic, m.log_time, value)
+
+
+def verdict(job: tuple[TrialSpec, str, Path]) -> dict[str, Any]:
+    """The row of one trial's changed recording."""
+    spec, name, work = job
+    folder = work / name.replace(" ", "-").replace("%", "percent")
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / f"{spec.id}.mcap"
+    rewrite(spec.recording, file, name)
+    result = replay_trial(replace(spec, recording=file, sha256=None), load_config(), folder, None, True)
+    file.unlink()
+    if result.row is None:
+        return {
+            "trial": spec.id,
+            "change": name,
+            "outcome": "none",
+            "failure_class": None,
+            "evidence": "; ".join(result.messages),
+        }
+    kept = {k: result.row[k] for k in ("outcome", "failure_class", "sub_cause", "blame", "evidence")}
+    return {"trial": spec.id, "change": name, **kept}
+
+
+def rows_of(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    specs = [s for s in find_trials(options.manifest) if not options.trial or s.id in options.trial]
+    set_thread_variables()
+    with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(verdict, [(s, name, options.work) for s in specs for name in CHANGES])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("manifest", type=Path, nargs="+")
+    parser.add_argument("--trial", action="append", help="only this one; may be given several times")
+    parser.add_argument("--work", type=Path, required=True, help="folder for runs; changed recordings are deleted again")
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    truth = read_truth(options.manifest)
+    rows = []
+    options.work.mkdir(parents=True, exist_ok=True)
+    with (options.work / "rows.jsonl").open("w") as file:
+        for row in rows_of(options):
+            rows.append(row)
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            print(row["trial"], row["change"], row["outcome"], row["failure_class"], flush=True)
+    before = {r["trial"]: r for r in rows if r["change"] == "as recorded"}
+    cells = []
+    for name in CHANGES:
+        found = [r for r in rows if r["change"] == name]
+        failed = [r for r in found if truth[r["trial"]]["outcome"] == "failure"]
+        outcome = sum(r["outcome"] == truth[r["trial"]]["outcome"] for r in found)
+        right = sum(r["failure_class"] == truth[r["trial"]]["failure_class"] for r in failed)
+        silent = sum(r["failure_class"] in ("unknown", None) for r in failed)
+        other = [r for r in failed if r["failure_class"] != before[r["trial"]]["failure_class"]]
+        moved = ", ".join(f"{r['trial']} {before[r['trial']]['failure_class']} to {r['failure_class']}" for r in other)
+        cells.append([name, f"{outcome}/{len(found)}", f"{right}/{len(failed)}", str(silent), moved or "–"])
+    head = ["recording", "outcome right", "class right", "no class", "other class than as recorded"]
+    command = f"python -m benchmarks.robustness {' '.join(p.name for p in options.manifest)}"
+    print(write("robustness", "Verdicts on changed recordings", command, [table(head, cells)], RESULTS).read_text())
+
+
+if __name__ == "__main__":
+    main()
