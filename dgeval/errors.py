@@ -74,6 +74,12 @@ class MissingDependencyError(DgevalError):
     exit_code = EXIT_USAGE
 
 
+class OtherRecordingsError(DgevalError):
+    """Recordings are not those that a baseline was made from."""
+
+    exit_code = EXIT_DATA_LOST
+
+
 class NotDeterministicError(DgevalError):
     """Two replays of the same recording, configuration and version differ."""
 

@@ -8,7 +8,7 @@ set_thread_variables()  # before numpy is imported anywhere
 
 import typer  # noqa: E402
 
-from dgeval.cli import config_show, inspect, replay, report, simulate, view  # noqa: E402
+from dgeval.cli import compare, config_show, inspect, regress, replay, report, simulate, view  # noqa: E402
 
 app = typer.Typer(
     name="dgeval",
@@ -22,6 +22,8 @@ app.command("report", epilog=report.EXAMPLES)(report.report)
 app.command("inspect", epilog=inspect.EXAMPLES)(inspect.inspect)
 app.command("view", epilog=view.EXAMPLES)(view.view)
 app.command("simulate", epilog=simulate.EXAMPLES)(simulate.simulate)
+app.command("compare", epilog=compare.EXAMPLES)(compare.compare)
+app.command("regress", epilog=regress.EXAMPLES)(regress.regress)
 app.add_typer(config_show.app, name="config")
 
 

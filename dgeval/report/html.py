@@ -13,7 +13,8 @@ import pandas as pd
 from dgeval import __version__
 from dgeval.report.figures import as_data_uri, shares_figure, trial_figure
 from dgeval.report.summary import against_truth, failure_shares, read_truth, share, success_by, what_first
-from dgeval.report.tables import Run, read_run, stage_times, trial_summary
+from dgeval.report.tables import stage_times, trial_summary
+from dgeval.results import Run, read_run
 from dgeval.run import file_name, write_atomically
 
 CHANCES = ("p_imprecise_pose", "p_collision", "p_timing")

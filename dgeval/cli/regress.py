@@ -1,0 +1,127 @@
+"""dgeval regress: a data set against its baseline."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from dgeval.cli.boundary import command, print_json
+
+EXAMPLES = """\b
+Examples:
+  dgeval regress datasets/ci-smoke/ci-smoke.toml --baseline reports/baselines/ci-smoke.zip --jobs 2
+  dgeval regress trials.toml --baseline main.zip --set registration.c_a_d=0.03
+  dgeval regress trials.toml --baseline main.zip --update --reason "ICP search radius 30 mm, see #12"
+
+Exit codes: 0 passed, or inconclusive with a warning · 1 regression, or a baseline was written · 2 usage, a baseline of
+another data set or schema · 3 recordings are damaged or not those of the baseline · 4 internal error.
+"""
+
+
+@command
+def regress(
+    dataset: Annotated[Path, typer.Argument(help="Manifest (.toml), recording or folder.")],
+    baseline: Annotated[Path, typer.Option(help="Baseline file, as --update writes it.")],
+    out: Annotated[Path, typer.Option(help="Folder of the run, junit.xml, regress.md, regress.html.")] = Path("runs/regress"),
+    pipeline: Annotated[str, typer.Option(help="dynamic, or a FILE.toml with its parameters.")] = "dynamic",
+    set_: Annotated[list[str] | None, typer.Option("--set", help="section.key=value, to try a change.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
+    update: Annotated[bool, typer.Option(help="Write the baseline instead of comparing. Never passes.")] = False,
+    reason: Annotated[str | None, typer.Option(help="Why the baseline is written; kept in it.")] = None,
+    fail_on: Annotated[str | None, typer.Option(help="`inconclusive`: that fails too.")] = None,
+    json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+) -> None:
+    """Replay a data set and hold it against a baseline: bytes first, then tolerances, then statistics over trials."""
+    import json
+    import os
+    import tempfile
+
+    from dgeval.compare.output import as_html, as_json, as_markdown
+    from dgeval.compare.review import write_difference
+    from dgeval.config import load_config
+    from dgeval.errors import EXIT_OK, UsageError
+    from dgeval.recording.containers import sha256_of
+    from dgeval.recording.trials import find_trials
+    from dgeval.regress import check_dataset, check_recordings, gate, junit, read_baseline, write_baseline
+    from dgeval.results import read_run
+    from dgeval.run import file_name, finish_run, write_atomically
+    from dgeval.workers import replay_trials
+
+    if fail_on not in (None, "inconclusive"):
+        raise UsageError(f"--fail-on {fail_on!r}", hint="inconclusive is the only choice")
+    if update and not reason:
+        raise UsageError("--update needs --reason", hint="say in a sentence why the results may change")
+    if reason and not update:
+        raise UsageError("--reason is for --update")
+    config = load_config(pipeline, tuple(set_ or ()))
+    specs = find_trials([dataset], config.roles.events)
+    name = dataset.stem
+
+    def replay() -> int:
+        def on_result(result: Any) -> None:
+            for message in result.messages:
+                typer.echo(f"{result.id}: {message}", err=True)
+
+        return finish_run(out, replay_trials(specs, config, out, None, False, jobs, on_result), config)
+
+    if update:
+        _refuse_uncommitted()
+        code = replay()
+        if code != EXIT_OK:
+            raise UsageError("no baseline is made from a run in which something was lost", hint=f"see {out / 'log.jsonl'}")
+        write_baseline(baseline, out, name, specs, str(reason))
+        typer.echo(f"baseline written: {baseline}; commit it, and run again to check against it", err=json_)
+        if json_:
+            print_json({"baseline": str(baseline), "written": True, "reason": reason})
+        raise typer.Exit(1)
+    with tempfile.TemporaryDirectory() as folder:
+        about, before = read_baseline(baseline, Path(folder))
+        check_dataset(about, name, specs, baseline)
+        check_recordings(about, {s.id: sha256_of(s.recording) for s in specs}, baseline)
+        code = replay()
+        c, passed, said = gate(before, read_run(out), fail_on == "inconclusive")
+        for field, a, b in c.config:
+            typer.echo(f"config differs from the baseline's: {field}: {a} -> {b}", err=True)
+        for d in c.differences:
+            if not d.within:
+                write_difference(
+                    out / "changed" / f"{file_name(d.trial)}.rrd", before.frames(d.trial), c.new.frames(d.trial), d
+                )
+        write_atomically(out / "junit.xml", junit(c, passed, said, name))
+        page = as_markdown(c)
+        write_atomically(out / "regress.md", page)
+        write_atomically(out / "regress.html", as_html(c))
+        write_atomically(out / "regress.json", json.dumps(as_json(c), indent=1))
+        if summary := os.environ.get("GITHUB_STEP_SUMMARY"):
+            with Path(summary).open("a", encoding="utf-8") as file:
+                file.write(page + "\n")
+    if json_:
+        print_json({**as_json(c), "passed": passed, "said": said})
+    else:
+        typer.echo(f"{'passed' if passed else 'FAILED'}: {c.conclusion}: {said}")
+        for r in c.results:
+            if r.answer in ("worse", "inconclusive", "better"):
+                settle = f"; some {r.needed} trials would settle it" if r.needed else ""
+                typer.echo(f"  {r.metric.name}: {r.answer}, {r.old:.4g} -> {r.new:.4g} {r.metric.unit}, p = {r.p:.3f}{settle}")
+        if c.differences:
+            typer.echo(f"look: {out / 'regress.html'}")
+    if c.conclusion == "inconclusive":
+        typer.echo("warning: inconclusive", err=True)
+    raise typer.Exit(1 if not passed else code)
+
+
+def _refuse_uncommitted() -> None:
+    """A baseline must belong to a commit. Outside a repository there is nothing to refuse."""
+    import subprocess
+
+    from dgeval.errors import UsageError
+
+    try:
+        found = subprocess.run(["git", "status", "--porcelain"], capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        return
+    if found.returncode == 0 and found.stdout.strip():
+        first = found.stdout.splitlines()[0].strip()
+        raise UsageError(f"there are uncommitted changes ({first}, …)", hint="commit first: a baseline belongs to a commit")

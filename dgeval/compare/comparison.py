@@ -1,0 +1,128 @@
+"""Two runs side by side: what differs first, which facts of the log are told differently, which replay is the better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from dgeval.compare.divergence import TrialDifference, difference
+from dgeval.compare.paired import ALPHA, METRICS, Result, answers, timing, trial_metrics
+from dgeval.errors import UsageError
+from dgeval.geometry import Array
+from dgeval.results import Run
+from dgeval.schema import SCHEMA_VERSION, STAGES
+
+# What the log says about the world. New code should not change it; where it does, one of the two is wrong.
+FACTS = ("outcome", "outcome_source", "failure_class", "sub_cause", "blame", "gap_sided", "n_frames", "t_close_ns")
+Conclusion = Literal["identical", "within tolerance", "better", "same", "inconclusive", "worse"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Run `new` against run `old`. values: METRICS by name, old and new, in the order of `trials`.
+
+    config: field, old and new value. facts: trial, fact, old and new. timings: stage, factor, p.
+    """
+
+    old: Run
+    new: Run
+    trials: tuple[str, ...]
+    only_old: tuple[str, ...]
+    only_new: tuple[str, ...]
+    config: tuple[tuple[str, Any, Any], ...]
+    versions: tuple[tuple[str, Any, Any], ...]
+    differences: tuple[TrialDifference, ...]
+    facts: tuple[tuple[str, str, Any, Any], ...]
+    values: tuple[dict[str, Array], dict[str, Array]]
+    results: tuple[Result, ...]
+    timings: tuple[tuple[str, float, float], ...]
+
+    @property
+    def conclusion(self) -> Conclusion:
+        """The worst that is said of any metric, where anything differs at all beyond the last bits."""
+        if not self.differences:
+            return "identical"
+        if all(d.within for d in self.differences):
+            return "within tolerance"
+        said = {r.answer for r in self.results}
+        order: tuple[Conclusion, ...] = ("worse", "inconclusive", "better", "same")
+        return next(answer for answer in order if answer in said or answer == "same")
+
+    @property
+    def first(self) -> TrialDifference | None:
+        """The earliest difference of all: by frame, then stage, then trial."""
+        beyond = [d for d in self.differences if not d.within] or list(self.differences)
+        return min(beyond, key=lambda d: (d.first.frame, STAGES.index(d.first.stage), d.trial), default=None)
+
+
+def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
+    """Trials paired by id. UsageError where the runs have no trial in common or tables of another version."""
+    for run in (old, new):
+        if run.about["schema_version"] != SCHEMA_VERSION:
+            what = f"{run.folder}: tables of schema {run.about['schema_version']}, this dgeval compares {SCHEMA_VERSION}"
+            raise UsageError(what, hint="replay the recordings again with this version")
+    rows = [run.trials.set_index("trial") for run in (old, new)]
+    trials = sorted(set(rows[0].index) & set(rows[1].index))
+    if not trials:
+        raise UsageError(f"{old.folder} and {new.folder} have no trial in common", hint="trials are paired by their id")
+    differences: list[TrialDifference] = []
+    facts: list[tuple[str, str, Any, Any]] = []
+    before, after = [], []
+    for trial in trials:
+        a, b = rows[0].loc[trial], rows[1].loc[trial]
+        hindsight = old.hindsight(trial)
+        close_ns = None if pd.isna(a["t_close_ns"]) else int(a["t_close_ns"])
+        frames = old.frames(trial)
+        before.append(trial_metrics(frames, hindsight, close_ns))
+        after.append(before[-1])
+        if any(a[f"digest_{s}"] != b[f"digest_{s}"] for s in STAGES):
+            other = new.frames(trial)
+            if (found := difference(trial, frames, other)) is not None:
+                differences.append(found)
+                after[-1] = trial_metrics(other, hindsight, close_ns)
+        facts += [(trial, fact, a[fact], b[fact]) for fact in FACTS if not _equal(a[fact], b[fact])]
+    values = tuple({m.name: np.array([row[m.name] for row in side]) for m in METRICS} for side in (before, after))
+    about = [{"dgeval": run.about["dgeval"], **run.about["fingerprint"]} for run in (old, new)]
+    return Comparison(
+        old=old,
+        new=new,
+        trials=tuple(trials),
+        only_old=tuple(sorted(set(rows[0].index) - set(trials))),
+        only_new=tuple(sorted(set(rows[1].index) - set(trials))),
+        config=tuple(changed(old.about["config"], new.about["config"])),
+        versions=tuple(changed(about[0], about[1])),
+        differences=tuple(differences),
+        facts=tuple(facts),
+        values=(values[0], values[1]),
+        results=tuple(answers(values[0], values[1], alpha)),
+        timings=tuple(_timings(old, new, trials)),
+    )
+
+
+def changed(old: dict[str, Any], new: dict[str, Any], prefix: str = "") -> list[tuple[str, Any, Any]]:
+    """Fields of nested dictionaries that are not equal: dotted name, old and new value (None where there is none)."""
+    out = []
+    for key in sorted(set(old) | set(new)):
+        a, b = old.get(key), new.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            out += changed(a, b, f"{prefix}{key}.")
+        elif a != b:
+            out.append((f"{prefix}{key}", a, b))
+    return out
+
+
+def _equal(a: Any, b: Any) -> bool:
+    return bool(a == b) or bool(pd.isna(a) and pd.isna(b))
+
+
+def _timings(old: Run, new: Run, trials: list[str]) -> list[tuple[str, float, float]]:
+    kept = [run.timings[run.timings["trial"].isin(trials)] for run in (old, new)]
+    out = []
+    for stage in kept[0]["stage"].drop_duplicates():
+        a, b = (t.loc[t["stage"] == stage, "seconds"].to_numpy(dtype=float) for t in kept)
+        if len(a) and len(b):
+            out.append((str(stage), *timing(a, b)))
+    return out

@@ -1,0 +1,141 @@
+"""A comparison as Markdown, JSON and one offline HTML file with old and new drawn over each other."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from typing import Any
+
+import jinja2
+import matplotlib
+import numpy as np
+import pandas as pd
+
+matplotlib.use("Agg")
+
+from matplotlib.figure import Figure
+
+from dgeval.compare.comparison import Comparison
+from dgeval.compare.divergence import TrialDifference
+from dgeval.geometry import Array
+
+MOST_DRAWN = 12  # trials; the others stand in the tables
+MOST_LISTED = 10
+SIGNIFICANT_TIME = 1.1  # factor of a stage's median time, below which nobody cares
+DRAWN = {
+    "hand to grasp [m]": ("error_linear",),
+    "velocity [m/s]": ("velocity_x", "velocity_y", "velocity_z"),
+    "gate fitness": ("icp_gate_fitness",),
+    "score": ("hand_score",),
+}
+
+
+def as_json(c: Comparison) -> dict[str, Any]:
+    """Everything that is said, for machines."""
+    return {
+        "old": str(c.old.folder),
+        "new": str(c.new.folder),
+        "conclusion": c.conclusion,
+        "trials": len(c.trials),
+        "only_old": list(c.only_old),
+        "only_new": list(c.only_new),
+        "config": [{"field": f, "old": a, "new": b} for f, a, b in c.config],
+        "versions": [{"what": f, "old": a, "new": b} for f, a, b in c.versions],
+        "first_divergence": None if c.first is None else _divergence(c.first),
+        "changed_trials": [_divergence(d) for d in c.differences],
+        "facts": [{"trial": t, "fact": f, "old": _plain(a), "new": _plain(b)} for t, f, a, b in c.facts],
+        "metrics": [
+            {
+                "metric": r.metric.name, "unit": r.metric.unit, "trials": r.n, "old": r.old, "new": r.new,
+                "difference": r.difference, "interval": [_plain(r.low), _plain(r.high)], "p": r.p,
+                "relevant": r.metric.relevant, "answer": r.answer, "trials_needed": r.needed,
+            }
+            for r in c.results
+        ],
+        "timings": [{"stage": s, "factor": f, "p": p} for s, f, p in c.timings],
+    }  # fmt: skip
+
+
+def _divergence(d: TrialDifference) -> dict[str, Any]:
+    f = d.first
+    return {
+        "trial": d.trial, "frame": f.frame, "stage": f.stage, "field": f.field, "old": _plain(f.old), "new": _plain(f.new),
+        "within_tolerance": d.within, "frames_that_differ": d.stages, "frames": list(d.n_frames),
+    }  # fmt: skip
+
+
+def _plain(value: Any) -> Any:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)) or pd.isna(value):
+        return None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def as_markdown(c: Comparison) -> str:
+    """One page; pipes in names are escaped."""
+    return _environment().get_template("compare.md").render(**_shown(c))
+
+
+def as_html(c: Comparison) -> str:
+    """One file without network: tables, and the changed trials' quantities, old and new over each other."""
+    return _environment().get_template("compare.html").render(**_shown(c), figures=overlays(c))
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("dgeval", "compare/templates"),
+        autoescape=jinja2.select_autoescape(["html"]),
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["cell"] = lambda value: str(value).replace("|", "\\|").replace("\n", " ")
+    environment.filters["number"] = _number
+    return environment
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None or not math.isfinite(value) else f"{value:.4g}"
+
+
+def _shown(c: Comparison) -> dict[str, Any]:
+    slower = [(s, f, p) for s, f, p in c.timings if p < 0.01 and not 1 / SIGNIFICANT_TIME < f < SIGNIFICANT_TIME]
+    return {
+        "c": c,
+        "first": c.first,
+        "listed": c.differences[:MOST_LISTED],
+        "unlisted": max(0, len(c.differences) - MOST_LISTED),
+        "times": slower,
+    }
+
+
+def overlays(c: Comparison) -> list[tuple[str, str]]:
+    """(trial, PNG as data URI) of the trials that changed most."""
+    most = sorted((d for d in c.differences if not d.within), key=lambda d: (-sum(d.stages.values()), d.trial))[:MOST_DRAWN]
+    return [(d.trial, _data_uri(overlay(c.old.frames(d.trial), c.new.frames(d.trial), d))) for d in most]
+
+
+def overlay(old: pd.DataFrame, new: pd.DataFrame, d: TrialDifference) -> Figure:
+    """Quantities over time, old thick and pale, new thin; a line where they first differ."""
+    shown = {k: v for k, v in DRAWN.items() if any(t[list(v)].notna().any().any() for t in (old, new))}
+    figure = Figure(figsize=(7.2, 0.5 + 1.4 * max(1, len(shown))), layout="constrained")
+    axes = np.atleast_1d(np.asarray(figure.subplots(max(1, len(shown)), 1, sharex=True)))
+    start = int(old["t_ns"].iloc[0])
+    at = (int(old.loc[old["frame"] == d.first.frame, "t_ns"].iloc[0]) - start) * 1e-9 if len(old) > d.first.frame else None
+    for axis, (label, columns) in zip(axes, shown.items(), strict=False):
+        for k, column in enumerate(columns):
+            for table, width, alpha, name in ((old, 3.2, 0.35, "old"), (new, 1.1, 1.0, "new")):
+                t: Array = (table["t_ns"].to_numpy(dtype=np.int64) - start) * 1e-9
+                values = table[column].to_numpy(dtype=float, na_value=np.nan)
+                axis.plot(t, values, color=f"C{k}", lw=width, alpha=alpha, label=name if k == 0 else None)
+        if at is not None:
+            axis.axvline(at, color="#b3392f", lw=0.9, ls="--")
+        axis.set_ylabel(label, fontsize=8)
+        axis.legend(fontsize=8, frameon=False, loc="upper right")
+    axes[-1].set_xlabel("time [s]")
+    return figure
+
+
+def _data_uri(figure: Figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=100, metadata={"Software": None})
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

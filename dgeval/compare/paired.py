@@ -1,0 +1,169 @@
+"""Is a change better or worse: paired tests over trials, corrected for many metrics, with an honest third answer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binomtest, mannwhitneyu, norm, wilcoxon
+
+from dgeval.geometry import Array
+
+ALPHA = 0.05  # of the whole gate: the chance of any false "worse" or "better" where nothing changed
+POWER = 0.8  # with which the number of trials that would settle it is planned
+Answer = Literal["better", "worse", "same", "inconclusive"]
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A number per trial. relevant: the smallest difference that matters; a smaller one is `same`."""
+
+    name: str
+    unit: str
+    lower_is_better: bool
+    relevant: float
+    meaning: str
+
+
+# Replay quality (DESIGN section 6). The reference is the baseline's hindsight for both runs: it is a fact of the log.
+METRICS = (
+    Metric("lost", "", True, 0.02, "share of frames in which the tracker had lost the target"),
+    Metric("predicted", "", True, 0.02, "share of frames without an accepted registration"),
+    Metric("position_error", "m", True, 0.001, "median distance of the feature point from where hindsight has it"),
+    Metric("velocity_error", "m/s", True, 0.003, "median error of the estimated velocity against hindsight's path"),
+    Metric("gate_fitness", "", False, 0.02, "median fitness of registrations at the gate"),
+    Metric("close_time", "s", True, 0.05, "from the moment the replay would have closed to the recorded close"),
+)
+
+
+def trial_metrics(frames: pd.DataFrame, hindsight: pd.DataFrame | None, close_ns: int | None) -> dict[str, float]:
+    """METRICS of one trial; NaN where there is nothing to measure. frames, hindsight: tables of that trial."""
+    out = dict.fromkeys((m.name for m in METRICS), math.nan)
+    out["lost"] = float((frames["tracking"] == "lost").mean())
+    out["predicted"] = float(frames["predicted"].fillna(True).astype(bool).mean())
+    fitness = frames["icp_gate_fitness"].dropna()
+    if len(fitness):
+        out["gate_fitness"] = float(fitness.median())
+    fired = frames.loc[frames["execute"].fillna(False).astype(bool), "t_ns"]
+    if close_ns is not None and len(fired):
+        out["close_time"] = abs(int(fired.iloc[0]) - close_ns) * 1e-9
+    path = None if hindsight is None else hindsight[hindsight["by"] == "path"]
+    if path is None or len(path) < 10:
+        return out
+    t = path["t_ns"].to_numpy(dtype=np.int64)
+    seconds = (t - t[0]) * 1e-9
+    places = path[["object_px", "object_py", "object_pz"]].to_numpy(dtype=float)
+    velocity = np.polyfit(seconds, places, 1)[0]
+    joined = frames.set_index("frame").loc[path["frame"]]
+    estimated = joined[["velocity_x", "velocity_y", "velocity_z"]].to_numpy(dtype=float, na_value=np.nan)
+    if np.isfinite(estimated).any():
+        out["velocity_error"] = float(np.nanmedian(np.linalg.norm(estimated - velocity, axis=1)))
+    # the path does not turn: where the feature point lies from the model's origin is the same all along
+    offset = joined[["feature_px", "feature_py", "feature_pz"]].to_numpy(dtype=float, na_value=np.nan) - places
+    if np.isfinite(offset).any():
+        out["position_error"] = float(np.nanmedian(np.linalg.norm(offset - np.nanmedian(offset, axis=0), axis=1)))
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """Of one metric: over n trials, median old and new, median difference with its interval, p corrected by Holm.
+
+    needed: trials that would settle it, None where it is settled or no number would.
+    """
+
+    metric: Metric
+    n: int
+    old: float
+    new: float
+    difference: float
+    low: float
+    high: float
+    p: float
+    answer: Answer
+    needed: int | None
+
+
+def answers(old: dict[str, Array], new: dict[str, Array], alpha: float = ALPHA) -> list[Result]:
+    """Paired by trial, NaN left out. old, new: (n,) values by metric in the same order of trials.
+
+    Wilcoxon's signed-rank test with Holm's correction says better or worse; an interval of the median difference (the
+    test's own, by Walsh averages) inside what is relevant says same; else it is inconclusive.
+    """
+    found = []
+    for metric in METRICS:
+        a, b = old[metric.name], new[metric.name]
+        both = np.isfinite(a) & np.isfinite(b)
+        if both.any():
+            found.append((metric, a[both], b[both]))
+    raw = [signed_rank(b - a) for _, a, b in found]
+    corrected = holm(raw)
+    out = []
+    for (metric, a, b), p in zip(found, corrected, strict=True):
+        d = b - a
+        low, high = walsh_interval(d, alpha)
+        middle = float(np.median(d))
+        needed = None
+        answer: Answer = "inconclusive"
+        if not d.any():
+            answer = "same"
+        elif p <= alpha and not -metric.relevant < middle < metric.relevant:
+            answer = "worse" if (middle > 0) == metric.lower_is_better else "better"
+        elif -metric.relevant < low and high < metric.relevant:
+            answer = "same"
+        else:
+            needed = trials_needed(float(np.std(d, ddof=1)) if len(d) > 1 else math.nan, metric.relevant, alpha, len(d))
+        out.append(Result(metric, len(d), float(np.median(a)), float(np.median(b)), middle, low, high, p, answer, needed))
+    return out
+
+
+def signed_rank(d: Array) -> float:
+    """Two-sided p of Wilcoxon's signed-rank test; 1 where nothing differs. Zeros count (Pratt)."""
+    return float(wilcoxon(d, zero_method="pratt", method="auto").pvalue) if d.any() else 1.0
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Holm's step-down correction: family-wise p values in the order given."""
+    order = np.argsort(p, kind="stable")
+    out = np.empty(len(p))
+    worst = 0.0
+    for rank, k in enumerate(order):
+        worst = max(worst, min(1.0, (len(p) - rank) * p[k]))
+        out[k] = worst
+    return [float(v) for v in out]
+
+
+def walsh_interval(d: Array, alpha: float) -> tuple[float, float]:
+    """Interval of the median difference that belongs to the signed-rank test; (-inf, inf) with too few pairs for one."""
+    n = len(d)
+    walsh = np.sort(((d[:, None] + d[None]) / 2)[np.triu_indices(n)])
+    # normal approximation of the rank sum's quantile, rounded to the safe side
+    cut = math.floor(n * (n + 1) / 4 - norm.ppf(1 - alpha / 2) * math.sqrt(n * (n + 1) * (2 * n + 1) / 24))
+    if cut < 1 or 2.0 ** (1 - n) > alpha:
+        return -math.inf, math.inf
+    return float(walsh[cut - 1]), float(walsh[-cut])
+
+
+def trials_needed(sd: float, relevant: float, alpha: float, n: int) -> int | None:
+    """Paired trials after which a difference that matters would be found with POWER; more than there are."""
+    if not math.isfinite(sd):
+        return None
+    # the signed-rank test needs some 5 % more than the t test with normal differences
+    z = norm.ppf(1 - alpha / (2 * len(METRICS))) + norm.ppf(POWER)
+    return max(n + 1, 6, math.ceil(1.05 * (z * sd / relevant) ** 2))
+
+
+def mcnemar(old: Sequence[bool], new: Sequence[bool]) -> tuple[int, int, float]:
+    """Successes lost, successes gained, exact two-sided p. Only for closed-loop simulations on equal seeds."""
+    lost = sum(a and not b for a, b in zip(old, new, strict=True))
+    gained = sum(b and not a for a, b in zip(old, new, strict=True))
+    return lost, gained, float(binomtest(lost, lost + gained).pvalue) if lost + gained else 1.0
+
+
+def timing(old: Array, new: Array) -> tuple[float, float]:
+    """Factor of the median times new over old, and p of the Mann-Whitney test."""
+    return float(np.median(new) / max(np.median(old), 1e-12)), float(mannwhitneyu(old, new).pvalue)

@@ -1,0 +1,156 @@
+"""May this change merge: a data set replayed and held against a stored baseline.
+
+A baseline is one zip file: the tables of a run, and `baseline.json` with what they were made from and why.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from dgeval.compare.comparison import Comparison, compare_runs
+from dgeval.errors import OtherRecordingsError, Place, UsageError
+from dgeval.recording.trials import TrialSpec
+from dgeval.results import Run, read_run
+from dgeval.run import file_name
+from dgeval.schema import SCHEMA_VERSION
+
+EPOCH = (1980, 1, 1, 0, 0, 0)  # of every member: the same tables give the same file
+TABLES = ("run.json", "trials.parquet", "timings.parquet")
+
+
+def dataset_of(specs: Iterable[TrialSpec], inputs: dict[str, str]) -> dict[str, Any]:
+    """What a baseline belongs to: by trial everything that the manifest says, and the recordings' SHA-256.
+
+    The recordings' place and name are no part of it; inputs: SHA-256 by trial.
+    """
+    trials = {s.id: {k: v for k, v in asdict(s).items() if k not in ("recording", "sha256")} for s in specs}
+    about = {"trials": json.loads(json.dumps(trials, default=str)), "inputs": dict(sorted(inputs.items()))}
+    return {**about, "sha256": hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()}
+
+
+def write_baseline(path: Path, folder: Path, dataset: str, specs: list[TrialSpec], reason: str) -> None:
+    """Store a finished run as the baseline of a data set. Byte-identical for the same tables but for the times in them."""
+    run = read_run(folder)
+    about = {
+        "dataset": dataset,
+        "schema_version": SCHEMA_VERSION,
+        "reason": reason,
+        "made_with": run.about["dgeval"],
+        **dataset_of(specs, run.about["inputs"]),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    names = [*TABLES]
+    for trial in run.trials["trial"]:
+        names += [f"{kind}/{file_name(trial)}.parquet" for kind in ("frames", "hindsight")]
+    with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr(zipfile.ZipInfo("baseline.json", EPOCH), json.dumps(about, indent=1, sort_keys=True))
+        for name in names:
+            if (folder / name).is_file():
+                file.writestr(zipfile.ZipInfo(name, EPOCH), (folder / name).read_bytes(), zipfile.ZIP_DEFLATED)
+    part.replace(path)
+
+
+def read_baseline(path: Path, into: Path) -> tuple[dict[str, Any], Run]:
+    """What a baseline says of itself, and its tables, unpacked. UsageError where it is none, or of another schema."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            about: dict[str, Any] = json.loads(file.read("baseline.json"))
+            if about["schema_version"] != SCHEMA_VERSION:
+                what = f"the baseline has tables of schema {about['schema_version']}, this dgeval writes {SCHEMA_VERSION}"
+                raise UsageError(what, Place(str(path)), "make it again with --update --reason")
+            file.extractall(into)
+    except FileNotFoundError as error:
+        hint = "write it with --update --reason 'first baseline'"
+        raise UsageError("there is no baseline", Place(str(path)), hint) from error
+    except (OSError, zipfile.BadZipFile, ValueError, KeyError) as error:
+        raise UsageError(f"not a baseline ({type(error).__name__}: {error})", Place(str(path))) from error
+    return about, read_run(into)
+
+
+def check_dataset(about: dict[str, Any], dataset: str, specs: list[TrialSpec], path: Path) -> None:
+    """UsageError where the baseline is of another data set, by name or by its trials."""
+    if about["dataset"] != dataset:
+        raise UsageError(f"the baseline is of data set {about['dataset']!r}, this is {dataset!r}", Place(str(path)))
+    now = dataset_of(specs, {})["trials"]
+    for trial in sorted(set(now) | set(about["trials"])):
+        if now.get(trial) == about["trials"].get(trial):
+            continue
+        if trial not in now or trial not in about["trials"]:
+            where = "the baseline" if trial not in now else "the data set"
+            raise UsageError(f"trial {trial} is only in {where}", Place(str(path)), "make the baseline again with --update")
+        fields = [k for k in now[trial] if now[trial][k] != about["trials"][trial].get(k)]
+        what = f"trial {trial}: {', '.join(fields)} of the manifest changed since the baseline"
+        raise UsageError(what, Place(str(path)), "make the baseline again with --update")
+
+
+def check_recordings(about: dict[str, Any], inputs: dict[str, str], path: Path) -> None:
+    """OtherRecordingsError where a recording is not the one that the baseline was made from."""
+    other = [t for t in sorted(inputs) if about["inputs"].get(t) != inputs[t]]
+    if other:
+        more = f" and {len(other) - 1} more" if len(other) > 1 else ""
+        what = f"the recording of trial {other[0]}{more} is not the one that the baseline was made from"
+        raise OtherRecordingsError(what, Place(str(path)), "give those, or make the baseline again")
+
+
+def gate(baseline: Run, now: Run, fail_on_inconclusive: bool) -> tuple[Comparison, bool, str]:
+    """The comparison, whether it may pass, and in words why."""
+    c = compare_runs(baseline, now)
+    missing = list(c.only_old)
+    if missing:
+        return c, False, f"{len(missing)} trials of the baseline were not replayed, {missing[0]} first"
+    said = {
+        "identical": "every stage of every trial gives the baseline's bytes",
+        "within tolerance": "differences are within the tolerances of their fields",
+        "same": "results changed, by less than matters",
+        "better": "results changed for the better",
+        "inconclusive": "results changed, and these trials can't tell whether for the worse",
+        "worse": "results changed for the worse: " + ", ".join(r.metric.name for r in c.results if r.answer == "worse"),
+    }[c.conclusion]
+    passed = c.conclusion != "worse" and not (fail_on_inconclusive and c.conclusion == "inconclusive")
+    if c.first is not None:
+        said += f". First divergence: {c.first.first}"
+    return c, passed, said
+
+
+def junit(c: Comparison, passed: bool, said: str, dataset: str) -> str:
+    """JUnit XML: a case per trial (bytes or tolerance) and per metric; the gate itself is a case."""
+    suites = ElementTree.Element("testsuites", name=f"dgeval regress {dataset}")
+    differing = {d.trial: d for d in c.differences}
+    trials = _suite(suites, "trials", len(c.trials) + len(c.only_old))
+    for trial in c.trials:
+        case = ElementTree.SubElement(trials, "testcase", classname=f"{dataset}.trials", name=trial)
+        if (d := differing.get(trial)) is not None and not d.within:
+            out = ElementTree.SubElement(case, "system-out")
+            out.text = f"changed: {d.first}; frames that differ by stage: {d.stages}"
+    for trial in c.only_old:
+        case = ElementTree.SubElement(trials, "testcase", classname=f"{dataset}.trials", name=trial)
+        ElementTree.SubElement(case, "failure", message="not replayed")
+    metrics = _suite(suites, "metrics", len(c.results))
+    for r in c.results:
+        case = ElementTree.SubElement(metrics, "testcase", classname=f"{dataset}.metrics", name=r.metric.name)
+        about = f"{r.old:.6g} -> {r.new:.6g}, p {r.p:.3f}, {r.n} trials"
+        if r.answer == "worse":
+            ElementTree.SubElement(case, "failure", message=f"worse: {about}")
+        elif r.answer == "inconclusive":
+            ElementTree.SubElement(case, "skipped", message=f"inconclusive: {about}; some {r.needed} trials would settle it")
+    whole = _suite(suites, "gate", 1)
+    case = ElementTree.SubElement(whole, "testcase", classname=dataset, name="gate")
+    if not passed:
+        ElementTree.SubElement(case, "failure", message=said)
+    for suite in suites:
+        for kind, tag in (("failures", "failure"), ("skipped", "skipped")):
+            suite.set(kind, str(len(suite.findall(f"testcase/{tag}"))))
+    ElementTree.indent(suites)
+    return ElementTree.tostring(suites, encoding="unicode", xml_declaration=True)
+
+
+def _suite(parent: ElementTree.Element, name: str, tests: int) -> ElementTree.Element:
+    return ElementTree.SubElement(parent, "testsuite", name=name, tests=str(tests), errors="0")

@@ -1,0 +1,278 @@
+"""Catches: a change that nobody sees, a false alarm, a wrong stage or frame named, a baseline of something else accepted."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tomllib
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pytest
+from benchmarks.gate import false_alarms
+from dgeval.compare.closed_loop import compare_campaigns
+from dgeval.compare.comparison import compare_runs
+from dgeval.compare.divergence import difference
+from dgeval.compare.output import as_html, as_json, as_markdown
+from dgeval.compare.paired import METRICS, answers, holm, mcnemar, trials_needed, walsh_interval
+from dgeval.config import load_config
+from dgeval.errors import UsageError
+from dgeval.recording.trials import find_trials
+from dgeval.results import Run, read_run
+from dgeval.run import finish_run, replay_trial
+from dgeval.schema import STAGES
+from scipy.stats import wilcoxon
+
+ROOT = Path(__file__).resolve().parents[1]
+SMOKE = ROOT / "datasets" / "ci-smoke"
+NAME = "pudding_box-120-0030"
+Dgeval = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The beginning of one committed trial: 30 frames, nothing is grasped in them."""
+    folder = tmp_path_factory.mktemp("short")
+    known = next(t for t in tomllib.loads((SMOKE / "ci-smoke.toml").read_text())["trial"] if t["id"] == NAME)
+    shutil.copy(SMOKE / f"{NAME}.mcap", folder / "a.mcap")
+    text = f'name = "short"\n[[trial]]\nid = "a"\nrecording = "a.mcap"\nframes = [0, 30]\nbbox = {known["bbox"]}\n'
+    (folder / "short.toml").write_text(text)
+    return folder / "short.toml"
+
+
+def run_of(manifest: Path, out: Path, *assignments: str) -> Run:
+    config = load_config("dynamic", assignments)
+    finish_run(out, [replay_trial(s, config, out, None, True) for s in find_trials([manifest])], config)
+    return read_run(out)
+
+
+@pytest.fixture(scope="module")
+def before(manifest: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return run_of(manifest, tmp_path_factory.mktemp("before"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("assignment", "stage", "first"),
+    [
+        ("clock.colour.offset_ns=1000", "input", 0),
+        ("tracking.method=csrt", "tracking", None),
+        ("registration.search_radius=0.006", "registration", 1),
+        ("fusion.epsilon=0.002", "fusion", None),
+        ("estimation.sigma_position=0.008", "estimation", None),
+        ("selection.c_m_t=-0.2", "grasps", None),
+        ("servo.c_p_v=1.3", "servo", None),
+        ("execution.c_e=1e-30", "execution", None),
+    ],
+)
+def test_a_parameter_is_caught_at_its_stage(
+    manifest: Path, before: Run, tmp_path: Path, assignment: str, stage: str, first: int | None
+) -> None:
+    after = run_of(manifest, tmp_path, assignment)
+    c = compare_runs(before, after)
+    assert c.first is not None
+    assert c.first.first.stage == stage
+    assert [field for field, _, _ in c.config] == [assignment.split("=")[0]]
+    # the frame named is the first that differs, in a column of that stage
+    old, new = before.frames("a"), after.frames("a")
+    field = c.first.first.field
+    unequal = ~((old[field] == new[field]) | (old[field].isna() & new[field].isna()))
+    assert int(np.flatnonzero(unequal)[0]) == c.first.first.frame
+    if first is not None:
+        assert c.first.first.frame == first
+    for earlier in STAGES[: STAGES.index(stage)]:
+        if first == 0 or earlier == "input":
+            assert earlier not in c.first.stages
+
+
+def edited(run: Run, out: Path, change: Callable[[pd.DataFrame], None]) -> Run:
+    """A copy of a run with its frames changed, and with other digests."""
+    shutil.copytree(run.folder, out)
+    path = out / "frames" / "a.parquet"
+    frames = pd.read_parquet(path)
+    change(frames)
+    frames.to_parquet(path)
+    trials = pd.read_parquet(out / "trials.parquet")
+    trials[[f"digest_{s}" for s in STAGES]] = "other"
+    trials.to_parquet(out / "trials.parquet")
+    return read_run(out)
+
+
+@pytest.mark.slow
+def test_equal_digests_need_no_frames(before: Run, tmp_path: Path) -> None:
+    shutil.copytree(before.folder, tmp_path / "b")
+    (tmp_path / "b" / "frames" / "a.parquet").unlink()
+    assert compare_runs(before, read_run(tmp_path / "b")).conclusion == "identical"
+
+
+@pytest.mark.slow
+def test_last_bits_are_within_tolerance_and_more_is_not(before: Run, tmp_path: Path) -> None:
+    def slightly(frames: pd.DataFrame) -> None:
+        frames["feature_px"] += 1e-9
+
+    def clearly(frames: pd.DataFrame) -> None:
+        frames.loc[7, "feature_px"] += 1e-4
+
+    def gone(frames: pd.DataFrame) -> None:
+        frames.loc[9, "velocity_y"] = np.nan
+
+    assert compare_runs(before, edited(before, tmp_path / "a", slightly)).conclusion == "within tolerance"
+    for k, (change, frame, field) in enumerate(((clearly, 7, "feature_px"), (gone, 9, "velocity_y"))):
+        c = compare_runs(before, edited(before, tmp_path / f"b{k}", change))
+        assert c.first is not None
+        assert (c.first.first.frame, c.first.first.field) == (frame, field)
+        assert not c.first.within
+        assert "NaN" not in json.dumps(as_json(c))
+        assert field in as_markdown(c)
+        assert "data:image/png" in as_html(c)
+
+
+@pytest.mark.slow
+def test_a_run_that_is_shorter_differs(before: Run) -> None:
+    frames = before.frames("a")
+    found = difference("a", frames, frames.iloc[:20])
+    assert found is not None
+    assert (found.first.frame, found.first.field, found.n_frames) == (20, "n_frames", (30, 20))
+
+
+@pytest.mark.slow
+def test_the_gate_from_the_command_line(manifest: Path, dgeval: Dgeval, tmp_path: Path) -> None:
+    baseline, out = tmp_path / "short.zip", tmp_path / "out"
+
+    def gate(*more: object, cwd: Path = tmp_path) -> subprocess.CompletedProcess[str]:
+        return dgeval("regress", manifest, "--baseline", baseline, "--out", out, *more, cwd=cwd)
+
+    assert gate().returncode == 2  # none yet
+    assert gate("--update").returncode == 2  # no reason
+    dirty = tmp_path / "dirty"
+    dirty.mkdir()
+    subprocess.run(["git", "init", "-q", str(dirty)], check=True)
+    (dirty / "new.py").touch()
+    refused = gate("--update", "--reason", "first", cwd=dirty)
+    assert refused.returncode == 2
+    assert "uncommitted" in refused.stderr
+    assert gate("--update", "--reason", "first").returncode == 1  # writing one never passes
+    assert json.loads(zipfile.ZipFile(baseline).read("baseline.json"))["reason"] == "first"
+
+    assert (done := gate()).returncode == 0, done.stderr
+    assert "identical" in done.stdout
+
+    # a change that was asked for is named field by field and compared all the same
+    done = gate("--set", "estimation.sigma_position=0.012", "--json")
+    said = json.loads(done.stdout)
+    assert said["config"] == [{"field": "estimation.sigma_position", "old": 0.004, "new": 0.012}]
+    assert "estimation.sigma_position: 0.004 -> 0.012" in done.stderr
+    assert said["first_divergence"]["stage"] == "estimation"
+    assert said["conclusion"] == "inconclusive"  # one trial tells nothing
+    assert done.returncode == 0
+    assert "warning" in done.stderr
+    assert (out / "changed" / "a.rrd").stat().st_size > 1000
+    strict = gate("--set", "estimation.sigma_position=0.012", "--fail-on", "inconclusive")
+    assert strict.returncode == 1
+    suites = ElementTree.parse(out / "junit.xml").getroot()
+    names = {(s.get("name"), c.get("name")) for s in suites for c in s}
+    assert {("trials", "a"), ("gate", "gate"), ("metrics", "velocity_error")} & names >= {("trials", "a"), ("gate", "gate")}
+    for suite in suites:
+        assert int(suite.get("tests", "-1")) == len(suite.findall("testcase"))
+        assert int(suite.get("failures", "-1")) == len(suite.findall("testcase/failure"))
+
+    # of something else
+    shutil.copy(manifest, manifest.with_name("other.toml"))
+    done = dgeval("regress", manifest.with_name("other.toml"), "--baseline", baseline, "--out", out)
+    assert done.returncode == 2
+    assert "'short'" in done.stderr
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    (moved / "short.toml").write_text(manifest.read_text())
+    shutil.copy(SMOKE / "foam_brick-040-0004.mcap", moved / "a.mcap")
+    done = dgeval("regress", moved / "short.toml", "--baseline", baseline, "--out", out)
+    assert done.returncode == 3
+    assert "recording of trial a" in done.stderr
+    old = tmp_path / "old.zip"
+    with zipfile.ZipFile(baseline) as read, zipfile.ZipFile(old, "w") as write:
+        about = json.loads(read.read("baseline.json"))
+        write.writestr("baseline.json", json.dumps({**about, "schema_version": 0}))
+    done = dgeval("regress", manifest, "--baseline", old, "--out", out)
+    assert done.returncode == 2
+    assert "schema 0" in done.stderr
+
+
+# numbers
+
+
+def test_holm_is_the_textbook() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+def test_mcnemar_is_exact() -> None:
+    for lost, gained, p in ((5, 0, 0.0625), (6, 0, 0.03125), (8, 1, 0.0390625), (10, 2, 0.0385742)):
+        old = [True] * lost + [False] * gained + [True] * 30
+        new = [False] * lost + [True] * gained + [True] * 30
+        assert mcnemar(old, new) == (lost, gained, pytest.approx(p, abs=1e-6))
+
+
+def test_walsh_interval_agrees_with_the_test_it_belongs_to() -> None:
+    rng = np.random.default_rng(0)
+    for n in (12, 40):
+        d = rng.normal(0.3, 1, n)
+        low, high = walsh_interval(d, 0.05)
+        assert wilcoxon(d - (low - 1e-6)).pvalue < 0.055
+        assert wilcoxon(d - (high + 1e-6)).pvalue < 0.055
+        assert wilcoxon(d - (low + high) / 2).pvalue > 0.5
+    assert walsh_interval(d[:5], 0.05) == (-np.inf, np.inf)
+
+
+def shifted(n: int, shift: float, noise: float, metric: str) -> list[str]:
+    """What is said of each metric where one has got worse by a shift, under noise in all of them."""
+    rng = np.random.default_rng(1)
+    old = {m.name: rng.normal(0.5, 0.1, n) for m in METRICS}
+    new = {m.name: old[m.name] + rng.normal(0, noise * m.relevant, n) for m in METRICS}
+    relevant = next(m.relevant for m in METRICS if m.name == metric)
+    new[metric] += shift * relevant
+    return [r.answer for r in answers(old, new) if r.metric.name == metric]
+
+
+def test_three_answers() -> None:
+    assert shifted(40, 3.0, 1.0, "velocity_error") == ["worse"]
+    assert shifted(40, -3.0, 1.0, "velocity_error") == ["better"]
+    assert shifted(40, -3.0, 1.0, "gate_fitness") == ["worse"]  # there more is better
+    assert shifted(40, 0.0, 1.0, "velocity_error") == ["same"]
+    assert shifted(6, 1.0, 3.0, "velocity_error") == ["inconclusive"]
+    assert shifted(1, 50.0, 0.1, "velocity_error") == ["inconclusive"]  # one trial proves nothing
+
+
+def test_planned_number_of_trials_finds_what_matters() -> None:
+    rng = np.random.default_rng(2)
+    metric = METRICS[3]
+    n = trials_needed(3 * metric.relevant, metric.relevant, 0.05, 6)
+    assert n is not None
+    found = 0
+    for _ in range(60):
+        old = {m.name: rng.normal(0.5, 0.1, n) for m in METRICS}
+        new = {m.name: old[m.name] + rng.normal(0, 3 * m.relevant, n) for m in METRICS}
+        new[metric.name] += metric.relevant * 1.3
+        found += next(r.answer for r in answers(old, new) if r.metric is metric) == "worse"
+    assert found >= 40  # planned for 80 % at the border of what matters
+
+
+def test_gate_gives_no_more_false_alarms_than_it_states() -> None:
+    wrong, n = false_alarms(150, 30, 0)
+    assert n == 150
+    assert wrong <= 0.05 * n + 2 * np.sqrt(0.05 * 0.95 * n)
+
+
+def test_campaigns_are_compared_on_equal_seeds_only(tmp_path: Path) -> None:
+    for name, seed, ended in (("a", 0, "success"), ("b", 0, "failure"), ("c", 1, "success")):
+        rows = [{"id": f"t{k}", "verdict": {"outcome": ended if k < 7 else "success", "seed": seed}} for k in range(20)]
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "simulated.json").write_text(json.dumps({"simulated": rows}))
+    said = compare_campaigns(tmp_path / "a", tmp_path / "b")
+    assert (said["lost"], said["gained"], said["answer"]) == (7, 0, "worse")
+    with pytest.raises(UsageError, match="not pairs"):
+        compare_campaigns(tmp_path / "a", tmp_path / "c")
