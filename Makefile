@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 DGEVAL_REAL_DATA ?= $(abspath $(wildcard ../shared/data))
 export DGEVAL_REAL_DATA
 
-.PHONY: setup demo check test soak bench format clean
+.PHONY: setup demo check test regress soak bench format clean
 
 setup: $(VENV)/.done
 
@@ -42,6 +42,9 @@ test: setup
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m pytest -n 2
 
+regress: setup
+	$(BIN)/dgeval regress datasets/ci-smoke/ci-smoke.toml --baseline reports/baselines/ci-smoke.zip --jobs 2
+
 soak: setup
 	$(BIN)/python tests/soak/damage_campaign.py --out reports/damage.md
 	$(BIN)/dgeval simulate conveyor --out runs/conveyor --jobs 2
@@ -50,6 +53,8 @@ soak: setup
 	$(BIN)/python -m benchmarks.simulation runs/conveyor/simulated.json --stability 4
 	$(BIN)/dgeval report runs/conveyor/replay --truth runs/conveyor/conveyor.toml
 	$(BIN)/python -m benchmarks.verdict
+	$(BIN)/python -m benchmarks.robustness datasets/ci-smoke/ci-smoke.toml --work runs/robustness
+	$(BIN)/python -m benchmarks.gate
 
 bench: setup
 	$(BIN)/python -m benchmarks.registration

@@ -52,7 +52,7 @@ VARIANTS = {
     "contacts twice as soft": {"soft": 2.0},
     "links 1.5 mm thicker": {"radius": 0.0015},
     "links 1.5 mm thinner": {"radius": -0.0015},
-    "pyramidal cone, 1 ms": {"solver": 1.0},
+    "pyramidal friction cone, 20 iterations": {"solver": 1.0},
     "label thresholds x 0.8": {"labels": 0.8},
     "label thresholds x 1.2": {"labels": 1.2},
 }
@@ -71,7 +71,7 @@ def change(world: World, variant: dict[str, float]) -> None:
     m.body_inertia[body] *= variant.get("mass", 1.0)
     mujoco.mj_setConst(m, world.data)
     if "solver" in variant:
-        m.opt.impratio, m.opt.iterations = 5.0, 30
+        m.opt.cone, m.opt.impratio, m.opt.iterations = mujoco.mjtCone.mjCONE_PYRAMIDAL, 1.0, 20
 
 
 def scene_from(run: Run, world: World, seed: int) -> Scene:

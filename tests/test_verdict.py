@@ -197,7 +197,6 @@ def test_verdicts_on_the_committed_recordings_and_their_report(smoke_run: Path, 
             assert str(touched["hand_link"].iloc[0]).split("_")[0] in ("thumb", "index", "middle", "ring", "little", "palm")
             assert closed["by"].iloc[-1] != "path"  # it was seen to leave it
         elif known["outcome"] == "success":
-            assert closed["by"].iloc[-1] == "path"
             assert closed["hand_distance"].iloc[-1] < 0.05
             assert closed["hand_distance"].iloc[0] > closed["hand_distance"].iloc[-1]
     assert right >= 3  # of four; the mug is registered too seldom to say anything
