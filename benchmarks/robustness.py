@@ -135,16 +135,21 @@ def main() -> None:
     parser.add_argument("--trial", action="append", help="only this one; may be given several times")
     parser.add_argument("--work", type=Path, required=True, help="folder for runs; changed recordings are deleted again")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--tables", action="store_true", help="only make the table of an earlier run again")
     options = parser.parse_args()
     truth = read_truth(options.manifest)
-    rows = []
     options.work.mkdir(parents=True, exist_ok=True)
-    with (options.work / "rows.jsonl").open("w") as file:
-        for row in rows_of(options):
-            rows.append(row)
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            print(row["trial"], row["change"], row["outcome"], row["failure_class"], flush=True)
+    kept = options.work / "rows.jsonl"
+    if not options.tables:
+        with kept.open("w") as file:
+            for row in rows_of(options):
+                file.write(json.dumps(row) + "\n")
+                file.flush()
+                print(row["trial"], row["change"], row["outcome"], row["failure_class"], flush=True)
+    rows = [json.loads(line) for line in kept.read_text().splitlines()]
+    # of a run that was cut short, the trials that are whole
+    whole = {r["trial"] for r in rows if r["change"] == CHANGES[-1]}
+    rows = [r for r in rows if r["trial"] in whole]
     before = {r["trial"]: r for r in rows if r["change"] == "as recorded"}
     cells = []
     for name in CHANGES:
