@@ -21,9 +21,11 @@ FINGERPRINT_PACKAGES = (
 
 
 def set_thread_variables() -> None:
-    """Ask every BLAS and OpenMP of this process and its children for one thread. Before numpy is imported."""
+    """Ask every BLAS, OpenMP and Mesa of this process and its children for one thread. Before numpy is imported."""
     for name in THREAD_VARIABLES:
         os.environ[name] = "1"
+    # Mesa's software renderer counts the threads beside the one that calls it
+    os.environ["LP_NUM_THREADS"] = "0"
 
 
 def limit_threads() -> None:

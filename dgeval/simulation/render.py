@@ -20,7 +20,7 @@ class Eyes:
     """Draws one world's `colour` and `depth` cameras. Close it: graphics memory is not collected.
 
     `mujoco.Renderer` would do, but shades the whole floor before the belt hides it and takes segment numbers apart in
-    32 bits: drawing from the hand to the floor, and a look-up of bytes, give the same pixels in half the time.
+    32 bits: drawing the floor last, and a look-up of bytes, give the same pixels in less time.
     """
 
     def __init__(self, world: World, cameras: tuple[Camera, Camera], profile: DepthProfile, seed: int, index: int) -> None:
@@ -53,12 +53,13 @@ class Eyes:
     def _draw(self, camera: str, segments: bool) -> None:
         """The scene as it stands into the offscreen buffer; `segments`: flat, numbered surfaces."""
         model, data, scene = self._world.model, self._world.data, self._scene
-        view, still = mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_STATIC.value
+        view = mujoco.MjvCamera()
         view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera(camera).id
-        moving = mujoco.mjtCatBit.mjCAT_DYNAMIC.value
-        mujoco.mjv_updateScene(model, data, self._seen, mujoco.MjvPerturb(), view, moving, scene)
-        for ground in (self._belt, self._floor):
-            mujoco.mjv_addGeoms(model, data, ground, mujoco.MjvPerturb(), still, scene)
+        still, moving = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
+        # what stands on the belt touches it: at equal depth the order decides, so only the floor far below is drawn last
+        mujoco.mjv_updateScene(model, data, self._belt, mujoco.MjvPerturb(), view, still, scene)
+        mujoco.mjv_addGeoms(model, data, self._seen, mujoco.MjvPerturb(), moving, scene)
+        mujoco.mjv_addGeoms(model, data, self._floor, mujoco.MjvPerturb(), still, scene)
         scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = segments
         self._gl.make_current()
         mujoco.mjr_render(self._area, scene, self._context)
