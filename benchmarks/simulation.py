@@ -7,27 +7,19 @@ python -m benchmarks.simulation runs/conveyor/simulated.json [--stability N]
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from dgeval.report.statistics import wilson
 
 from benchmarks.result import table, write
 
 # success rates of the paper's Table II (conveyor), by belt speed mm/s, ten objects each
 PAPER = {0: 90, 20: 90, 40: 70, 60: 50, 80: 60, 100: 50, 120: 70, 140: 80, 160: 80, 180: 90, 200: 80, 220: 50}
 KINDS = ("success", "imprecise_pose", "collision", "timing")
-
-
-def wilson(k: int, n: int) -> tuple[float, float]:
-    """95 % Wilson interval of a share."""
-    z = 1.959964
-    centre = (k + z * z / 2) / (n + z * z)
-    half = z / (n + z * z) * math.sqrt(k * (n - k) / n + z * z / 4)
-    return centre - half, centre + half
 
 
 def kind(result: dict[str, Any]) -> str:

@@ -18,11 +18,12 @@ from dgeval.geometry import invert, matrix_from_pose, rotation_angle
 from dgeval.recording.messages import poses_of
 from dgeval.recording.trials import TrialSpec, find_trials, open_trial
 from dgeval.run import file_name
+from dgeval.stages.perception import POSE as POSE_NAMES
 from matplotlib.figure import Figure
 
 from benchmarks.result import RESULTS, number, table, write
 
-POSE, OBJECT = ([f"{of}_{n}" for n in ("px", "py", "pz", "qx", "qy", "qz", "qw")] for of in ("model", "object"))
+POSE, OBJECT = ([f"{of}_{n}" for n in POSE_NAMES] for of in ("model", "object"))
 BINS = np.array([-2.0, -1.5, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 1.5])  # s from the close
 
 

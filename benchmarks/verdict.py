@@ -22,7 +22,7 @@ import numpy as np
 from dgeval.config import VerdictConfig
 from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import invert
-from dgeval.hindsight import NO_GAP_S
+from dgeval.hindsight import blind_gap
 from dgeval.physics.closing import CONTROL_S
 from dgeval.physics.hand import ACTUATED
 from dgeval.physics.objects import surface_points, ten_objects
@@ -36,7 +36,7 @@ from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, matrix_of, twin_path
 from dgeval.taxonomy import Thresholds
 from dgeval.verdict.causes import CLASSES, cause_of
-from dgeval.verdict.evidence import APPROACH_S, HandMotion, Scene
+from dgeval.verdict.evidence import APPROACH_S, PERIOD_NS, HandMotion, Scene
 from dgeval.verdict.outcome import LAST_S, grip
 
 from benchmarks.result import RESULTS, write
@@ -113,7 +113,7 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
         T[:3, 3] += place + rng.normal(0, SIGHTING_M, 3) - T[:3, :3] @ (place + drift)
         seen[k - begin] = T
     motion = HandMotion(
-        np.arange(begin, end + 1, dtype=np.int64) * round(CONTROL_S * 1e9), np.array(hands), np.array(joints),
+        np.arange(begin, end + 1, dtype=np.int64) * PERIOD_NS, np.array(hands), np.array(joints),
         np.array([run.ticks[k].velocity for k in range(begin, end + 1)]),
     )  # fmt: skip
     gap = (end - last) * CONTROL_S
@@ -121,17 +121,6 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
         motion, points, free, velocity, float(np.hypot(PLACE_M, VELOCITY * gap)), TURN_DEG,
         None if run.close is None else end - begin, seen,
     )  # fmt: skip
-
-
-def gap_of(run: Run) -> tuple[float | None, str]:
-    """As `hindsight` states it: seconds from the last sighting to the close, and whether sightings follow."""
-    if run.close is None:
-        return None, "none"
-    before = [f.tick for f in run.frames if f.accepted and f.tick <= run.close]
-    gap = (run.close - before[-1]) * CONTROL_S if before else float("inf")
-    if gap <= NO_GAP_S:
-        return gap, "none"
-    return gap, "two" if any(f.accepted and f.tick > run.close for f in run.frames) else "one"
 
 
 def outcome(run: Run, world: World, seed: int) -> str:
@@ -176,7 +165,8 @@ def judge(job: tuple[int, int, str, int, tuple[str, ...]]) -> dict[str, Any]:
     change(world, about)
     run = run_trial(plan, scenario, world, known_grasps(things[plan.object]), ModelledPerception(scenario, plan, world))
     succeeded = run.finish is not None and run.finish.success
-    gap, sided = gap_of(run)
+    sighted = [f.tick * PERIOD_NS for f in run.frames if f.accepted]
+    gap, sided = blind_gap(sighted, None if run.close is None else run.close * PERIOD_NS)
     out: dict[str, Any] = {
         "id": plan.id, "seed": seed, "index": index, "variant": variant, "object": plan.object, "speed": plan.speed,
         "outcome": "success" if succeeded else "failure", "outcome_said": outcome(run, world, seed),

@@ -27,6 +27,7 @@ from dgeval.stages.tracking_model import ModelTracker
 from dgeval.stages.types import Model, Observation
 
 GapSided = Literal["none", "one", "two"]
+KnownBy = Literal["path", "registration", "depth", "colour", "hand", "support"]
 CONTACT_M = 0.006  # m; a hand this near may be pushing: measured clouds are not more exact
 NO_GAP_S = 0.1
 WINDOW_BEFORE_S, WINDOW_AFTER_S = 4.0, 4.0  # around the close, where frames are looked at again
@@ -98,7 +99,7 @@ class Moment:
     index: int
     t_ns: int
     T_base_model: Array
-    by: Literal["path", "registration", "depth", "colour", "hand", "support"]
+    by: KnownBy
     sd: float | None
     distance: float | None
     link: str | None
@@ -110,8 +111,8 @@ class Hindsight:
 
     contact_ns: first time before the close at which the hand was within CONTACT_M of it on its free path, and the link.
     pushed_ns: when it was seen to leave that path with the hand at it. n_registered: sightings by an accepted registration
-    up to the close. gap_s: from the last sighting to the close; None
-    without a close. moments: frame by frame from WINDOW_BEFORE_S before the close on; empty without an attempt.
+    up to the close. gap_s: from the last sighting to the close; None without a close. moments: frame by frame from
+    WINDOW_BEFORE_S before the close on; empty without an attempt.
     """
 
     path: Path
@@ -175,7 +176,7 @@ def look_back(trial: Trial, seen: list[Seen], surface: Surface, perception: Perc
     contact = next((m for m in moments if m.t_ns <= end_ns and m.distance is not None and m.distance < CONTACT_M), None)
     notes = [] if support is not None else ["hindsight: no support plane was seen"]
     close_ns = trial.event_ns("close")
-    gap, sided = _gap(sightings, close_ns)
+    gap, sided = blind_gap([s.t_ns for s in sightings], close_ns)
     registered = sum(s.by == "registration" and s.t_ns <= end_ns for s in sightings)
     return Hindsight(
         path,
@@ -293,7 +294,7 @@ def _moments(
     for s in seen:
         if (end_ns - s.t_ns) * 1e-9 > WINDOW_BEFORE_S:
             continue
-        by: Literal["path", "registration", "depth", "colour", "hand", "support"] = "path"
+        by: KnownBy = "path"
         T, sd = path.at(s.t_ns), None
         palm = trial.robot.T_base_palm(s.t_ns)
         if s.t_ns <= left_ns:
@@ -360,11 +361,12 @@ def _look(
     return None
 
 
-def _gap(sightings: list[Sighting], close_ns: int | None) -> tuple[float | None, GapSided]:
+def blind_gap(sighted_ns: list[int], close_ns: int | None) -> tuple[float | None, GapSided]:
+    """Seconds from the last sighting to the close, and whether sightings follow; none of up to NO_GAP_S."""
     if close_ns is None:
         return None, "none"
-    before = [s.t_ns for s in sightings if s.t_ns <= close_ns]
-    after = [s.t_ns for s in sightings if s.t_ns > close_ns]
+    before = [t for t in sighted_ns if t <= close_ns]
+    after = [t for t in sighted_ns if t > close_ns]
     gap = (close_ns - before[-1]) * 1e-9 if before else float("inf")
     if gap <= NO_GAP_S:
         return gap, "none"

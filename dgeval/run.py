@@ -21,7 +21,7 @@ from dgeval import __version__
 from dgeval.config import Config
 from dgeval.determinism import fingerprint, limit_threads
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError
-from dgeval.geometry import Array, pose_from_matrix
+from dgeval.geometry import Array
 from dgeval.hindsight import Hindsight, Seen, Surface, look_back, seen_of
 from dgeval.recording.containers import describe
 from dgeval.recording.trials import Trial, TrialSpec, open_trial
@@ -37,7 +37,7 @@ from dgeval.schema import (
     arrow_schema,
     arrow_table,
 )
-from dgeval.stages.perception import Perception
+from dgeval.stages.perception import Perception, pose_columns
 from dgeval.verdict.judge import Judgement, judge
 from dgeval.verdict.picture import decisive_picture
 
@@ -228,11 +228,10 @@ def _trial_row(
 
 
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:
-    names = [f"object_{n}" for n in ("px", "py", "pz", "qx", "qy", "qz", "qw")]
     return [
         {
             "frame": m.index, "t_ns": m.t_ns, "by": m.by, "sd": m.sd, "hand_distance": m.distance, "hand_link": m.link,
-            **dict(zip(names, pose_from_matrix(m.T_base_model).tolist(), strict=True)),
+            **pose_columns("object", m.T_base_model),
         }
         for m in hindsight.moments
     ]  # fmt: skip

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from typing import Any
 
@@ -19,6 +17,7 @@ from matplotlib.figure import Figure
 from dgeval.compare.comparison import Comparison
 from dgeval.compare.divergence import TrialDifference
 from dgeval.geometry import Array
+from dgeval.pages import as_data_uri, template_environment
 
 MOST_DRAWN = 12  # trials; the others stand in the tables
 MOST_LISTED = 10
@@ -82,12 +81,7 @@ def as_html(c: Comparison) -> str:
 
 
 def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("dgeval", "compare/templates"),
-        autoescape=jinja2.select_autoescape(["html"]),
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = template_environment("compare/templates")
     environment.filters["cell"] = lambda value: str(value).replace("|", "\\|").replace("\n", " ")
     environment.filters["number"] = _number
     return environment
@@ -111,7 +105,7 @@ def _shown(c: Comparison) -> dict[str, Any]:
 def overlays(c: Comparison) -> list[tuple[str, str]]:
     """(trial, PNG as data URI) of the trials that changed most."""
     most = sorted((d for d in c.differences if not d.within), key=lambda d: (-sum(d.stages.values()), d.trial))[:MOST_DRAWN]
-    return [(d.trial, _data_uri(overlay(c.old.frames(d.trial), c.new.frames(d.trial), d))) for d in most]
+    return [(d.trial, as_data_uri(overlay(c.old.frames(d.trial), c.new.frames(d.trial), d))) for d in most]
 
 
 def overlay(old: pd.DataFrame, new: pd.DataFrame, d: TrialDifference) -> Figure:
@@ -133,9 +127,3 @@ def overlay(old: pd.DataFrame, new: pd.DataFrame, d: TrialDifference) -> Figure:
         axis.legend(fontsize=8, frameon=False, loc="upper right")
     axes[-1].set_xlabel("time [s]")
     return figure
-
-
-def _data_uri(figure: Figure) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=100, metadata={"Software": None})
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -88,6 +89,19 @@ def _add_flying_hand(spec: mujoco.MjSpec) -> None:
     data = np.zeros(len(weld.data))
     data[6], data[10] = 1.0, 0.3  # identity relative rotation, torque scale
     weld.data = data
+
+
+def least_distance(
+    model: mujoco.MjModel, data: mujoco.MjData, ours: Sequence[int], theirs: Sequence[int], limit: float
+) -> float:
+    """Least distance between two groups of geoms, m, at most `limit`."""
+    best = limit
+    for a in ours:
+        for b in theirs:
+            gap = np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) - model.geom_rbound[a] - model.geom_rbound[b]
+            if gap < best:
+                best = min(best, mujoco.mj_geomDistance(model, data, a, b, best, None))
+    return float(best)
 
 
 def pose_of(data: mujoco.MjData, body: str) -> Array:

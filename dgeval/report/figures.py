@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from typing import Any
 
 import matplotlib
@@ -115,10 +113,3 @@ def _shade(axis: Any, t: Any, mask: Any, colour: str) -> None:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
     for a, b in zip(edges[::2], edges[1::2], strict=True):
         axis.axvspan(t[a] - half, t[b - 1] + half, color=colour, alpha=0.55, lw=0)
-
-
-def as_data_uri(figure: Figure) -> str:
-    """PNG inside the HTML file, so that it needs nothing beside it."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -7,11 +7,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import pandas as pd
 
 from dgeval import __version__
-from dgeval.report.figures import as_data_uri, shares_figure, trial_figure
+from dgeval.pages import as_data_uri, template_environment
+from dgeval.report.figures import shares_figure, trial_figure
 from dgeval.report.summary import against_truth, failure_shares, read_truth, share, success_by, what_first
 from dgeval.report.tables import stage_times, trial_summary
 from dgeval.results import Run, read_run
@@ -27,12 +27,7 @@ def write_report(folders: list[Path], out: Path, truth: list[Path] | None = None
     """
     runs = [read_run(f) for f in folders]
     known = read_truth(truth) if truth else {}
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("dgeval", "report/templates"),
-        autoescape=jinja2.select_autoescape(["html"]),
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = template_environment("report/templates")
     shown = [_run(r, known) for r in runs]
     page = environment.get_template("report.html").render(version=__version__, runs=shown)
     path = out / "report.html"

@@ -24,7 +24,7 @@ from dgeval.physics.closing import (
 )  # fmt: skip
 from dgeval.physics.hand import ACTUATED, FINGERS, JOINT_NAMES, T_hand_palm
 from dgeval.physics.objects import ObjectModel
-from dgeval.physics.scene import Camera, build, pose_of
+from dgeval.physics.scene import Camera, build, least_distance, pose_of
 
 HOLD_S = 1.6  # recorded after the lift
 SUCCESS_HOLD_S = 1.0  # after the lift ends (SIMULATION section 5)
@@ -149,13 +149,7 @@ class World:
         reach = limit + 0.15
         if np.linalg.norm(transform(self.T_base_hand(), GRASP_CENTRE[None])[0] - d.xpos[m.body("object").id]) > reach + 0.15:
             return limit
-        best = limit
-        for a in self.hand_geoms:
-            for b in self.object_geoms:
-                gap = np.linalg.norm(d.geom_xpos[a] - d.geom_xpos[b]) - m.geom_rbound[a] - m.geom_rbound[b]
-                if gap < best:
-                    best = min(best, mujoco.mj_geomDistance(m, d, a, b, best, None))
-        return float(best)
+        return least_distance(m, d, self.hand_geoms, self.object_geoms, limit)
 
     def finger_forces(self) -> Array:
         """Sum of normal contact forces on each finger (5,), N."""

@@ -51,12 +51,8 @@ def cause_of(scene: Scene, method: str, draws: int, seed: int, least: float, thr
     if scene.sd_m > BLIND_SD_M:
         why = f"the object's place at the close is uncertain by {scene.sd_m * 1000:.0f} mm"
         return Cause("unknown", (0.0, 0.0, 0.0, 1.0), None, None, (), 0.0, method, why)
-    samples: list[Sample] = []
-    tries = 1
-    if method == "geometry":
-        samples.append(_geometry(scene, thresholds))
-    else:
-        samples, tries = _twins(scene, draws, seed, thresholds)
+    geometry = method == "geometry"
+    samples, tries = ([_geometry(scene, thresholds)], 1) if geometry else _twins(scene, draws, seed, thresholds)
     weights = np.array([1.0 if s.reproduced else NOT_REPRODUCED for s in samples])
     votes = [float(weights[[s.verdict.failure_class == c for s in samples]].sum()) + PRIOR for c in CLASSES]
     p = np.array(votes) / sum(votes)
@@ -80,7 +76,7 @@ def cause_of(scene: Scene, method: str, draws: int, seed: int, least: float, thr
 
 
 def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> tuple[list[Sample], int]:
-    """What the draws say, and in how many of them the recorded failure happened.
+    """What the draws say, and how many were tried.
 
     That it failed is known, so draws of the place in which it would not have are doubtful. Where some are, further and wider
     draws are tried for ones in which it does, up to TRIES per draw wanted.

@@ -28,7 +28,7 @@ from dgeval.physics.closing import (
 )  # fmt: skip
 from dgeval.physics.hand import ACTUATED
 from dgeval.physics.objects import ObjectModel
-from dgeval.physics.scene import TIMESTEP, build
+from dgeval.physics.scene import TIMESTEP, build, least_distance
 from dgeval.taxonomy import Facts, Needs, Thresholds, Verdict, classify
 from dgeval.verdict.evidence import Scene
 
@@ -71,8 +71,8 @@ class Twin:
         scene: Scene,
         solid: tuple[ObjectModel, Array],
         offset: tuple[float, float, float],
-        friction: float = 1.0,
-        mass: float = 1.0,
+        friction: float,
+        mass: float,
     ) -> None:
         self.scene = scene
         self.thing, centre = replace(solid[0], mass=solid[0].mass * mass), solid[1]
@@ -221,16 +221,6 @@ class Twin:
         geom = next(int(g) for g in pairs[k] if self._is_hand[g])
         return True, max(0.0, -float(self.data.contact.dist[k])), self.model.geom(geom).name
 
-    def _within(self, limit: float) -> bool:
-        """Whether hand and object are nearer than a limit, m."""
-        m, d = self.model, self.data
-        for a in np.flatnonzero(self._is_hand):
-            for b in np.flatnonzero(self._is_object):
-                gap = np.linalg.norm(d.geom_xpos[a] - d.geom_xpos[b]) - m.geom_rbound[a] - m.geom_rbound[b]
-                if gap < limit and mujoco.mj_geomDistance(m, d, a, b, limit, None) < limit:
-                    return True
-        return False
-
     def close(self, T: Array, velocity: Array, preshape: Array) -> tuple[bool, float]:
         """Close, follow, lift from the present state: success, and the object's greatest rise m."""
         d = self.data
@@ -338,8 +328,9 @@ class Twin:
         states: dict[int, Array] = {}
         off = np.zeros((end - first + 1, 2))
         contact, link, reached = None, None, False
+        hand, thing = np.flatnonzero(self._is_hand).tolist(), np.flatnonzero(self._is_object).tolist()
         for k in range(first, end + 1):
-            reached = reached or self._within(REACHED_M)
+            reached = reached or least_distance(self.model, self.data, hand, thing, REACHED_M) < REACHED_M
             pose, free = self.data.qpos[self._object : self._object + 7], self.undisturbed(k)
             if reached:
                 self._resync(k)
