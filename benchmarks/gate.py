@@ -1,18 +1,22 @@
-"""False alarms and power of the regression gate: `python -m benchmarks.gate [--runs 1000]`.
+"""False alarms and power of the regression gate: `python -m benchmarks.gate [--runs 1000] [--replays RUN RUN …]`.
 
-A/A: the same system twice, so every difference is chance. Differences of the metrics are heavy-tailed and many are zero, as
-replays with another seed give them; each resampling draws trials anew and asks the gate for its conclusion.
+A/A: the same system twice, so every difference is chance. RUNs are replays of one data set that differ in their seed alone;
+each resampling draws trials with replacement and for each two of its replays, and asks the gate for its conclusion. Beside
+it noise that is made: heavy-tailed, with a part of the trials unchanged.
 """
 
 from __future__ import annotations
 
 import argparse
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
-from dgeval.compare.paired import ALPHA, METRICS, answers
+from dgeval.compare.paired import ALPHA, METRICS, answers, trial_metrics
 from dgeval.determinism import generator
 from dgeval.geometry import Array
 from dgeval.report.statistics import wilson
+from dgeval.results import read_run
 from matplotlib.figure import Figure
 
 from benchmarks.result import RESULTS, table, write
@@ -45,9 +49,75 @@ def false_alarms(runs: int, n: int, seed: int, scale: float = 5.0) -> tuple[int,
     return wrong, runs
 
 
+def replayed(folders: list[Path]) -> Array:
+    """Metrics (runs, trials, metrics) of replays of the same recordings; hindsight is the first run's, as in the gate."""
+    runs = [read_run(folder) for folder in folders]
+    trials = runs[0].trials.set_index("trial").sort_index()
+    for a, b in pairwise(runs):
+        assert a.about["inputs"] == b.about["inputs"], "replays of other recordings"
+    out = np.full((len(runs), len(trials), len(METRICS)), np.nan)
+    for k, trial in enumerate(trials.index):
+        close = trials["t_close_ns"].loc[trial]
+        for r, run in enumerate(runs):
+            found = trial_metrics(run.frames(trial), runs[0].hindsight(trial), None if close is None else int(close))
+            out[r, k] = [found[m.name] for m in METRICS]
+    return out
+
+
+def resampled(pool: Array, rng: np.random.Generator, n: int, effect: Array) -> list[str]:
+    """What the gate says of each metric for n trials drawn from `replayed`, each with two of its runs; effect (metrics,)."""
+    runs, trials, _ = pool.shape
+    chosen = rng.integers(trials, size=n)
+    first = rng.integers(runs, size=n)
+    second = (first + rng.integers(1, runs, size=n)) % runs
+    old, new = pool[first, chosen], pool[second, chosen] + effect
+    names = [m.name for m in METRICS]
+    said = answers(dict(zip(names, old.T, strict=True)), dict(zip(names, new.T, strict=True)))
+    by_name = {r.metric.name: str(r.answer) for r in said}
+    return [by_name.get(name, "nothing to measure") for name in names]
+
+
+def of_replays(folders: list[Path], runs: int) -> list[str]:
+    """Tables: how large the noise of real replays is, false alarms under it, power against stated effects."""
+    pool = replayed(folders)
+    # median over trials of the spread between seeds, in units of what is relevant
+    spread = [float(np.nanmedian(np.nanstd(pool[:, :, k], axis=0))) / m.relevant for k, m in enumerate(METRICS)]
+    changed = [float(np.nanmean(np.abs(pool[1:, :, k] - pool[:-1, :, k]) > 0)) for k in range(len(METRICS))]
+    noises = [[m.name, f"{s:.2g}", f"{100 * c:.0f} %"] for m, s, c in zip(METRICS, spread, changed, strict=True)]
+    none = np.zeros(len(METRICS))
+    alarms, powers = [], []
+    for n in SIZES:
+        rng = generator(1, "A/A of replays", n)
+        said = [resampled(pool, rng, n, none) for _ in range(runs)]
+        wrong = sum(bool({"worse", "better"} & set(s)) for s in said)
+        low, high = wilson(wrong, runs)
+        silent = sum("inconclusive" not in s for s in said)
+        interval = f"{100 * low:.1f}–{100 * high:.1f} %"
+        alarms.append([str(n), f"{wrong}/{runs}", interval, f"{100 * silent / runs:.0f} %"])
+    for k, m in enumerate(METRICS):
+        effect = none.copy()
+        effect[k] = 2 * m.relevant * (1 if m.lower_is_better else -1)
+        row = [m.name]
+        for n in SIZES:
+            rng = generator(1, "power of replays", n)
+            found = [resampled(pool, rng, n, effect)[k] == "worse" for _ in range(runs // 5)]
+            row.append(f"{100 * np.mean(found):.0f} %")
+        powers.append(row)
+    return [
+        f"Real replays: {pool.shape[1]} recordings, each with {pool.shape[0]} seeds. Spread between seeds in units of what is "
+        "relevant, and how often two seeds differ at all.",
+        table(["metric", "spread", "differs"], noises),
+        "A/A resamplings of these replays: false alarms, and how often no metric was left inconclusive.",
+        table(["trials", "false alarms", "95 % interval", "conclusive"], alarms),
+        "Called worse where a metric gets worse by twice what is relevant, under the replays' noise.",
+        table(["metric", *(f"{n} trials" for n in SIZES)], powers),
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--replays", type=Path, nargs="+", default=[], help="runs of one data set with different seeds")
     options = parser.parse_args()
     rows = []
     for scale in (1.0, 5.0, 20.0):
@@ -80,6 +150,9 @@ def main() -> None:
         table(["trials", *(f"{e:g}" for e in effects)], powers),
     ]
     command = f"python -m benchmarks.gate --runs {options.runs}"
+    if options.replays:
+        parts = of_replays(options.replays, options.runs) + parts
+        command += f" --replays …  ({len(options.replays)} × dgeval replay datasets/ci-smoke/ci-smoke.toml --set seed=K)"
     print(write("gate", "False alarms and power of the gate", command, parts).read_text(encoding="utf-8"))
 
 

@@ -15,6 +15,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from dgeval.compare.comparison import Comparison, compare_runs
+from dgeval.compare.paired import METRICS
 from dgeval.errors import OtherRecordingsError, Place, UsageError
 from dgeval.recording.trials import TrialSpec
 from dgeval.results import Run, read_run
@@ -22,6 +23,7 @@ from dgeval.run import file_name
 from dgeval.schema import SCHEMA_VERSION
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every member: the same tables give the same file
+UNDECIDED = ("inconclusive", "disagreement")  # these pass with a warning
 TABLES = ("run.json", "trials.parquet", "timings.parquet")
 
 
@@ -112,30 +114,38 @@ def gate(baseline: Run, now: Run, fail_on_inconclusive: bool) -> tuple[Compariso
         "same": "results changed, by less than matters",
         "better": "results changed for the better",
         "inconclusive": "results changed, and these trials can't tell whether for the worse",
+        "disagreement": "facts of the log are told differently, and one of the two is wrong: "
+        + "; ".join(f"{t}: {f} {a} -> {b}" for t, f, a, b in c.facts[:3])
+        + (f"; and {len(c.facts) - 3} more" if len(c.facts) > 3 else ""),
         "worse": "results changed for the worse: " + ", ".join(r.metric.name for r in c.results if r.answer == "worse"),
     }[c.conclusion]
-    passed = c.conclusion != "worse" and not (fail_on_inconclusive and c.conclusion == "inconclusive")
+    passed = c.conclusion != "worse" and not (fail_on_inconclusive and c.conclusion in UNDECIDED)
     if c.first is not None:
         said += f". First divergence: {c.first.first}"
     return c, passed, said
 
 
 def junit(c: Comparison, passed: bool, said: str, dataset: str) -> str:
-    """JUnit XML: a case per trial (bytes or tolerance) and per metric; the gate itself is a case."""
+    """JUnit XML: a case per trial (bytes or tolerance, facts of the log) and per metric; the gate itself is a case."""
     suites = ElementTree.Element("testsuites", name=f"dgeval regress {dataset}")
     differing = {d.trial: d for d in c.differences}
     trials = _suite(suites, "trials", len(c.trials) + len(c.only_old))
     for trial in c.trials:
         case = ElementTree.SubElement(trials, "testcase", classname=f"{dataset}.trials", name=trial)
+        if told := "; ".join(f"{f} {a} -> {b}" for t, f, a, b in c.facts if t == trial):
+            ElementTree.SubElement(case, "skipped", message=f"one of the two is wrong: {told}")
         if (d := differing.get(trial)) is not None and not d.within:
             out = ElementTree.SubElement(case, "system-out")
             out.text = f"changed: {d.first}; frames that differ by stage: {d.stages}"
     for trial in c.only_old:
         case = ElementTree.SubElement(trials, "testcase", classname=f"{dataset}.trials", name=trial)
         ElementTree.SubElement(case, "failure", message="not replayed")
-    metrics = _suite(suites, "metrics", len(c.results))
-    for r in c.results:
-        case = ElementTree.SubElement(metrics, "testcase", classname=f"{dataset}.metrics", name=r.metric.name)
+    metrics = _suite(suites, "metrics", len(METRICS))
+    results = {r.metric: r for r in c.results}
+    for metric in METRICS:
+        case = ElementTree.SubElement(metrics, "testcase", classname=f"{dataset}.metrics", name=metric.name)
+        if (r := results.get(metric)) is None:
+            continue  # same bytes, or nothing to measure it by
         about = f"{r.old:.6g} -> {r.new:.6g}, p {r.p:.3f}, {r.n} trials"
         if r.answer == "worse":
             ElementTree.SubElement(case, "failure", message=f"worse: {about}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 import subprocess
@@ -9,7 +10,6 @@ import tomllib
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -19,13 +19,14 @@ from dgeval.compare.closed_loop import compare_campaigns
 from dgeval.compare.comparison import compare_runs
 from dgeval.compare.divergence import difference
 from dgeval.compare.output import as_html, as_json, as_markdown
-from dgeval.compare.paired import METRICS, answers, holm, mcnemar, trials_needed, walsh_interval
+from dgeval.compare.paired import METRICS, answers, holm, mcnemar, signed_rank, trials_needed, walsh_interval
 from dgeval.config import load_config
 from dgeval.errors import UsageError
 from dgeval.recording.trials import find_trials
 from dgeval.results import Run, read_run
 from dgeval.run import finish_run, replay_trial
 from dgeval.schema import STAGES
+from junitparser import JUnitXml, Skipped
 from scipy.stats import wilcoxon
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -179,12 +180,33 @@ def test_the_gate_from_the_command_line(manifest: Path, dgeval: Dgeval, tmp_path
     assert (out / "changed" / "a.rrd").stat().st_size > 1000
     strict = gate("--set", "estimation.sigma_position=0.012", "--fail-on", "inconclusive")
     assert strict.returncode == 1
-    suites = ElementTree.parse(out / "junit.xml").getroot()
-    names = {(s.get("name"), c.get("name")) for s in suites for c in s}
-    assert {("trials", "a"), ("gate", "gate"), ("metrics", "velocity_error")} & names >= {("trials", "a"), ("gate", "gate")}
-    for suite in suites:
-        assert int(suite.get("tests", "-1")) == len(suite.findall("testcase"))
-        assert int(suite.get("failures", "-1")) == len(suite.findall("testcase/failure"))
+    suites = {s.name: s for s in JUnitXml.fromfile(str(out / "junit.xml"))}
+    assert {name: (s.tests, s.failures, s.errors) for name, s in suites.items()} == {
+        "trials": (1, 0, 0),
+        "metrics": (len(METRICS), 0, 0),
+        "gate": (1, 1, 0),
+    }
+    cases = {(name, c.name): c for name, s in suites.items() for c in s}
+    assert "estimation" in cases["trials", "a"].system_out
+    assert isinstance(cases["metrics", "velocity_error"].result[0], Skipped) == (suites["metrics"].skipped > 0)
+    assert "can't tell" in cases["gate", "gate"].result[0].message
+
+    # the verdict is told differently while every stage gives the same bytes: no metric sees that
+    told = tmp_path / "told.zip"
+    with zipfile.ZipFile(baseline) as read, zipfile.ZipFile(told, "w") as write:
+        for member in read.namelist():
+            data = read.read(member)
+            if member == "trials.parquet":
+                table = pd.read_parquet(io.BytesIO(data)).assign(failure_class="collision")
+                table.to_parquet(changed := io.BytesIO())
+                data = changed.getvalue()
+            write.writestr(member, data)
+    done = dgeval("regress", manifest, "--baseline", told, "--out", out)
+    assert done.returncode == 0
+    assert "disagreement" in done.stderr
+    assert "failure_class collision -> " in done.stdout
+    case = next(c for s in JUnitXml.fromfile(str(out / "junit.xml")) for c in s if c.name == "a")
+    assert "failure_class" in case.result[0].message
 
     # of something else
     shutil.copy(manifest, manifest.with_name("other.toml"))
@@ -220,6 +242,16 @@ def test_mcnemar_is_exact() -> None:
         old = [True] * lost + [False] * gained + [True] * 30
         new = [False] * lost + [True] * gained + [True] * 30
         assert mcnemar(old, new) == (lost, gained, pytest.approx(p, abs=1e-6))
+
+
+def test_signed_rank_with_equal_sizes_is_exact() -> None:
+    # all signs of the ranks 1.5, 1.5, 3, 4 by hand: only all one way is as far out as 0 or 10 of 10
+    assert signed_rank(np.array([1.0, 1.0, 2.0, 3.0, 0.0])) == 2 / 16
+    rng = np.random.default_rng(3)
+    for n in (6, 13):
+        d = rng.normal(0.4, 1, n)
+        assert signed_rank(d) == pytest.approx(wilcoxon(d, method="exact").pvalue, abs=1e-12)
+    assert signed_rank(np.zeros(5)) == 1.0
 
 
 def test_walsh_interval_agrees_with_the_test_it_belongs_to() -> None:

@@ -15,8 +15,9 @@ Examples:
   dgeval regress trials.toml --baseline main.zip --set registration.c_a_d=0.03
   dgeval regress trials.toml --baseline main.zip --update --reason "ICP search radius 30 mm, see #12"
 
-Exit codes: 0 passed, or inconclusive with a warning · 1 regression, or a baseline was written · 2 usage, a baseline of
-another data set or schema · 3 recordings are damaged or not those of the baseline · 4 internal error.
+Exit codes: 0 passed, or undecided with a warning (inconclusive; facts of the log told differently) · 1 regression, or a
+baseline was written · 2 usage, a baseline of another data set or schema · 3 recordings are damaged or not those of the
+baseline · 4 internal error.
 """
 
 
@@ -30,7 +31,7 @@ def regress(
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
     update: Annotated[bool, typer.Option(help="Write the baseline instead of comparing. Never passes.")] = False,
     reason: Annotated[str | None, typer.Option(help="Why the baseline is written; kept in it.")] = None,
-    fail_on: Annotated[str | None, typer.Option(help="`inconclusive`: that fails too.")] = None,
+    fail_on: Annotated[str | None, typer.Option(help="`inconclusive`: that, and facts told differently, fail too.")] = None,
     json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
     """Replay a data set and hold it against a baseline: bytes first, then tolerances, then statistics over trials."""
@@ -44,7 +45,7 @@ def regress(
     from dgeval.errors import EXIT_OK, UsageError
     from dgeval.recording.containers import sha256_of
     from dgeval.recording.trials import find_trials
-    from dgeval.regress import check_dataset, check_recordings, gate, junit, read_baseline, write_baseline
+    from dgeval.regress import UNDECIDED, check_dataset, check_recordings, gate, junit, read_baseline, write_baseline
     from dgeval.results import read_run
     from dgeval.run import file_name, finish_run, write_atomically
     from dgeval.workers import replay_trials
@@ -108,8 +109,8 @@ def regress(
                 typer.echo(f"  {r.metric.name}: {r.answer}, {r.old:.4g} -> {r.new:.4g} {r.metric.unit}, p = {r.p:.3f}{settle}")
         if c.differences:
             typer.echo(f"look: {out / 'regress.html'}")
-    if c.conclusion == "inconclusive":
-        typer.echo("warning: inconclusive", err=True)
+    if c.conclusion in UNDECIDED:
+        typer.echo(f"warning: {c.conclusion}", err=True)
     raise typer.Exit(1 if not passed else code)
 
 

@@ -17,14 +17,15 @@ from dgeval.schema import SCHEMA_VERSION, STAGES
 
 # What the log says about the world. New code should not change it; where it does, one of the two is wrong.
 FACTS = ("outcome", "outcome_source", "failure_class", "sub_cause", "blame", "gap_sided", "n_frames", "t_close_ns")
-Conclusion = Literal["identical", "within tolerance", "better", "same", "inconclusive", "worse"]
+Conclusion = Literal["identical", "within tolerance", "better", "same", "inconclusive", "disagreement", "worse"]
 
 
 @dataclass(frozen=True)
 class Comparison:
     """Run `new` against run `old`. values: METRICS by name, old and new, in the order of `trials`.
 
-    config: field, old and new value. facts: trial, fact, old and new. timings: stage, factor, p.
+    config: field, old and new value. facts: trial, fact, old and new. timings: stage, factor, p. Where every digest is
+    equal, values and results are empty: there is nothing to measure.
     """
 
     old: Run
@@ -42,12 +43,18 @@ class Comparison:
 
     @property
     def conclusion(self) -> Conclusion:
-        """The worst that is said of any metric, where anything differs at all beyond the last bits."""
+        """The worst that is said of any metric, where anything differs at all beyond the last bits.
+
+        Facts of the log that are told differently are a disagreement, also where every stage gives the same bytes (the
+        verdict changed): one of the two runs is wrong, and no metric says which.
+        """
+        said = {r.answer for r in self.results if any(not d.within for d in self.differences)}
+        if self.facts and "worse" not in said:
+            return "disagreement"
         if not self.differences:
             return "identical"
-        if all(d.within for d in self.differences):
+        if not said:
             return "within tolerance"
-        said = {r.answer for r in self.results}
         order: tuple[Conclusion, ...] = ("worse", "inconclusive", "better", "same")
         return next(answer for answer in order if answer in said or answer == "same")
 
@@ -71,8 +78,12 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
     differences: list[TrialDifference] = []
     facts: list[tuple[str, str, Any, Any]] = []
     before, after = [], []
+    unchanged = all((rows[0].loc[trials, f"digest_{s}"] == rows[1].loc[trials, f"digest_{s}"]).all() for s in STAGES)
     for trial in trials:
         a, b = rows[0].loc[trial], rows[1].loc[trial]
+        facts += [(trial, fact, a[fact], b[fact]) for fact in FACTS if not _equal(a[fact], b[fact])]
+        if unchanged:
+            continue
         hindsight = old.hindsight(trial)
         close_ns = None if pd.isna(a["t_close_ns"]) else int(a["t_close_ns"])
         frames = old.frames(trial)
@@ -83,7 +94,6 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
             if (found := difference(trial, frames, other)) is not None:
                 differences.append(found)
                 after[-1] = trial_metrics(other, hindsight, close_ns)
-        facts += [(trial, fact, a[fact], b[fact]) for fact in FACTS if not _equal(a[fact], b[fact])]
     values = tuple({m.name: np.array([row[m.name] for row in side]) for m in METRICS} for side in (before, after))
     about = [{"dgeval": run.about["dgeval"], **run.about["fingerprint"]} for run in (old, new)]
     return Comparison(

@@ -9,11 +9,12 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest, mannwhitneyu, norm, wilcoxon
+from scipy.stats import binomtest, mannwhitneyu, norm, rankdata, wilcoxon
 
 from dgeval.geometry import Array
 
 ALPHA = 0.05  # of the whole gate: the chance of any false "worse" or "better" where nothing changed
+EXACT = 13  # pairs up to which all signs are tried
 POWER = 0.8  # with which the number of trials that would settle it is planned
 Answer = Literal["better", "worse", "same", "inconclusive"]
 
@@ -122,9 +123,21 @@ def answers(old: dict[str, Array], new: dict[str, Array], alpha: float = ALPHA) 
 
 
 def signed_rank(d: Array) -> float:
-    """Two-sided p of Wilcoxon's signed-rank test over the pairs that differ; 1 where none does."""
+    """Two-sided p of Wilcoxon's signed-rank test over the pairs that differ; 1 where none does.
+
+    Exact for few pairs, equal sizes included, by all signs: scipy tries them one by one, a hundred times slower.
+    """
     differing = d[d != 0]
-    return float(wilcoxon(differing).pvalue) if len(differing) else 1.0
+    n = len(differing)
+    if n == 0:
+        return 1.0
+    if n > EXACT:
+        return float(wilcoxon(differing).pvalue)
+    ranks = rankdata(np.abs(differing))
+    signs = (np.arange(2**n)[:, None] >> np.arange(n)) & 1
+    distance = np.abs(signs @ ranks - ranks.sum() / 2)
+    # rank sums are multiples of a half: no rounding to guard against
+    return float(np.mean(distance >= abs(ranks[differing > 0].sum() - ranks.sum() / 2)))
 
 
 def holm(p: Sequence[float]) -> list[float]:
