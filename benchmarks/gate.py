@@ -12,6 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from dgeval.compare.paired import ALPHA, METRICS, answers, trial_metrics
 from dgeval.determinism import generator
 from dgeval.geometry import Array
@@ -59,7 +60,7 @@ def replayed(folders: list[Path]) -> Array:
     for k, trial in enumerate(trials.index):
         close = trials["t_close_ns"].loc[trial]
         for r, run in enumerate(runs):
-            found = trial_metrics(run.frames(trial), runs[0].hindsight(trial), None if close is None else int(close))
+            found = trial_metrics(run.frames(trial), runs[0].hindsight(trial), None if pd.isna(close) else int(close))
             out[r, k] = [found[m.name] for m in METRICS]
     return out
 
@@ -81,9 +82,15 @@ def of_replays(folders: list[Path], runs: int) -> list[str]:
     """Tables: how large the noise of real replays is, false alarms under it, power against stated effects."""
     pool = replayed(folders)
     # median over trials of the spread between seeds, in units of what is relevant
-    spread = [float(np.nanmedian(np.nanstd(pool[:, :, k], axis=0))) / m.relevant for k, m in enumerate(METRICS)]
-    changed = [float(np.nanmean(np.abs(pool[1:, :, k] - pool[:-1, :, k]) > 0)) for k in range(len(METRICS))]
-    noises = [[m.name, f"{s:.2g}", f"{100 * c:.0f} %"] for m, s, c in zip(METRICS, spread, changed, strict=True)]
+    noises = []
+    for k, m in enumerate(METRICS):
+        of_metric = pool[:, np.isfinite(pool[:, :, k]).all(axis=0), k]
+        if of_metric.size == 0:
+            noises.append([m.name, "never measured", "–"])
+            continue
+        # median over trials of the spread between seeds
+        spread = float(np.median(np.std(of_metric, axis=0))) / m.relevant
+        noises.append([m.name, f"{spread:.2g}", f"{100 * np.mean(np.diff(of_metric, axis=0) != 0):.0f} %"])
     none = np.zeros(len(METRICS))
     alarms, powers = [], []
     for n in SIZES:
@@ -95,6 +102,8 @@ def of_replays(folders: list[Path], runs: int) -> list[str]:
         interval = f"{100 * low:.1f}–{100 * high:.1f} %"
         alarms.append([str(n), f"{wrong}/{runs}", interval, f"{100 * silent / runs:.0f} %"])
     for k, m in enumerate(METRICS):
+        if noises[k][1] == "never measured":
+            continue
         effect = none.copy()
         effect[k] = 2 * m.relevant * (1 if m.lower_is_better else -1)
         row = [m.name]

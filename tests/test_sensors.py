@@ -227,19 +227,6 @@ def test_draws_of_a_pixel_do_not_depend_on_the_rest_of_the_image() -> None:
     np.testing.assert_array_equal(shoot(one, camera, D435)[104:], shoot(other, camera, D435)[104:])
 
 
-def test_strips_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
-    camera = depth_intrinsics(D435, 424, 240)
-    exact = tilted(camera, 0.6, 0.3, 0.4)
-    exact[80:160, 150:250] = 0.4  # its edges between two strips
-    depth = shoot(exact, camera, D435)
-    aligned = align_to_colour(depth, camera, colour_intrinsics(D435, 424, 240), colour_from_depth(D435), 0.001)
-    monkeypatch.setattr(sensors, "ROWS", 1000)
-    np.testing.assert_array_equal(depth, shoot(exact, camera, D435))
-    np.testing.assert_array_equal(
-        aligned, align_to_colour(depth, camera, colour_intrinsics(D435, 424, 240), colour_from_depth(D435), 0.001)
-    )
-
-
 @pytest.mark.parametrize("bad", [0.0, np.nan, np.inf, -1.0, 1e-30])
 def test_what_is_not_a_depth_stays_nothing(bad: float) -> None:
     """A warning, an exception, a value made of nothing, or a hole that spreads."""

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.geometry import Array, Intrinsics
+from dgeval.simulation.depth_kernels import draw_rectangles, measure, shadow
 
 Image32 = NDArray[np.float32]
 DepthImage = NDArray[np.uint16]
 
 DEPTH_IMAGER = (1280, 800)  # px, D400 depth imagers
 COLOUR_IMAGER = (1920, 1080)  # px, D435 colour imager
-ROWS = 40  # of a strip: what stays in the cache costs half the time of whole images
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,86 +97,26 @@ def measure_depth(exact: Image32, camera: Intrinsics, profile: DepthProfile, rng
     of Intel's tuning paper; ethz-asl/rotors_simulator, D435 model). The number of draws does not depend on the image.
     """
     noise, fate, loss = _noise(exact.shape, profile.correlation, rng), _patches(exact.shape, rng), _patches(exact.shape, rng)
-    out = np.empty(exact.shape, np.uint16)
-    for top in range(0, len(exact), ROWS):
-        low, high = max(top - 2, 0), min(top + ROWS + 2, len(exact))  # 2 rows more for the 5x5 windows
-        strip = _measure_rows(exact[low:high], low, camera, profile, noise[low:high], fate[low:high], loss[low:high])
-        out[top : top + ROWS] = strip[top - low : top - low + ROWS]
-    return out
-
-
-def _measure_rows(
-    exact: Image32, row: int, camera: Intrinsics, profile: DepthProfile, noise: Image32, fate: Image32, loss: Image32
-) -> DepthImage:
-    """`measure_depth` of a strip (h, W) that begins at the given row of the image, with its draws."""
-    fB, quantum = np.float32(camera.fx * profile.baseline), np.float32(profile.quantum)
-    min_range = np.float32(profile.min_range)
+    fB = np.float32(camera.fx * profile.baseline)
     valid = (exact > 0.001) & (exact < np.inf)  # under a millimetre squares of the disparity would overflow
     d = np.divide(fB, np.where(valid, exact, np.inf), dtype=np.float32)
-    gx, gy = _gradient(d, 1), _gradient(d, 0)
-    slope = np.minimum(np.abs(gx) + np.abs(gy), np.float32(1))
-    incidence = _cos_incidence(d, gx, gy, row, camera)
-
     window = np.ones((5, 5), np.uint8)
     far = cv2.erode(np.where(valid, d, np.float32(1e9)), window)
     step = cv2.dilate(d, window) - far
-    edge = step > profile.jump + 6 * slope  # a plane changes by up to 4 slopes over the window
-    mix = (fate - np.float32(profile.edge_hole)) / np.float32(max(profile.flying, 1e-6))
-    measured = np.where(edge & (mix >= 0) & (mix < 1), far + mix * step, d)
-    measured += np.float32(profile.subpixel_sigma) * noise * (1 + np.float32(profile.slope_gain) * slope)
-    measured = np.rint(measured / quantum) * quantum
-    z = fB / np.maximum(measured, np.float32(1e-6))  # no disparity is far beyond the greatest range
-
-    near = (z - min_range) / np.float32(profile.ramp * profile.min_range)
-    # the draws are below 1, so nothing is left at or below the minimum range
-    lost = np.maximum(1 - near, np.float32(profile.grazing_loss) * (incidence < math.cos(math.radians(profile.grazing))))
-    keep = valid & ~_shadow(d) & ~(edge & (mix < 0)) & (loss >= lost) & (z <= profile.max_range)
-    keep &= incidence >= math.cos(math.radians(profile.grazing_limit))
-    counts = np.rint(z / np.float32(profile.depth_unit))
-    return np.where(keep & (counts <= 65535), counts, np.float32(0)).astype(np.uint16)
-
-
-def _gradient(d: Image32, axis: int) -> Image32:
-    """Change per px along an axis: the smaller of forward and backward difference, so that edges do not count as slopes."""
-    step = np.diff(d, axis=axis)
-    first, last = (step[:, :1], step[:, -1:]) if axis else (step[:1], step[-1:])
-    step = np.concatenate([first, step, last], axis)
-    size = np.abs(step)
-    if axis:
-        return np.where(size[:, :-1] < size[:, 1:], step[:, :-1], step[:, 1:])
-    return np.where(size[:-1] < size[1:], step[:-1], step[1:])
-
-
-def _cos_incidence(d: Image32, gx: Image32, gy: Image32, row: int, camera: Intrinsics) -> Image32:
-    """Cosine of the angle between ray and surface normal.
-
-    Disparity is affine in the pixel on a plane, d ~ n.r with the ray r = ((u-cx)/fx, (v-cy)/fy, 1), which gives n from
-    the gradient without points or cross products.
-    """
-    u = np.arange(camera.width, dtype=np.float32)[None] - np.float32(camera.cx)
-    v = np.arange(row, row + len(d), dtype=np.float32)[:, None] - np.float32(camera.cy)
-    fx, fy = np.float32(camera.fx), np.float32(camera.fy)
-    nz = d - gx * u - gy * v
-    normal2 = (gx * fx) ** 2 + (gy * fy) ** 2 + nz**2
-    ray2 = (u / fx) ** 2 + (v / fy) ** 2 + 1
-    return np.asarray(d / np.sqrt(np.maximum(normal2 * ray2, np.float32(1e-12))))
-
-
-def _shadow(d: Image32) -> NDArray[np.bool_]:
-    """Pixels (H, W) that the second imager does not see: outside its image, or behind something nearer in its column.
-
-    It sees a pixel of column x at x - d, so a near object hides what lies beside its left edge.
-    """
-    height, width = d.shape
-    x = np.arange(width, dtype=np.float32)[None]
-    # cells of the second image with one column more on its left, which takes what falls outside
-    column = np.maximum(np.rint(x - d), np.float32(-1)).astype(np.intp) + 1
-    cell = (column + (width + 1) * np.arange(height, dtype=np.intp)[:, None]).ravel()
-    seen = np.zeros(height * (width + 1), np.float32)
-    np.maximum.at(seen, cell, d.ravel())
-    # surfaces that the second imager sees larger leave single columns empty, through which the background must not show
-    closed = cv2.morphologyEx(seen.reshape(height, width + 1), cv2.MORPH_CLOSE, np.ones((1, 3), np.uint8)).ravel()
-    return np.asarray((column == 0) | (closed[cell].reshape(d.shape) > d + 1))
+    u = np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)
+    v = np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)
+    out = np.zeros(exact.shape, np.uint16)
+    ray2 = (u / np.float32(camera.fx)) ** 2
+    # every parameter in single precision, as the images are
+    parameters = (
+        camera.fx, camera.fy, profile.jump, profile.edge_hole, max(profile.flying, 1e-6), profile.subpixel_sigma,
+        profile.slope_gain, profile.quantum, profile.min_range, profile.ramp * profile.min_range, profile.grazing_loss,
+        math.cos(math.radians(profile.grazing)), profile.max_range, math.cos(math.radians(profile.grazing_limit)),
+        profile.depth_unit,
+    )  # fmt: skip
+    singles = tuple(np.float32(p) for p in parameters)
+    measure(out, valid, d, far, step, noise, fate, loss, shadow(d), u, v, ray2, fB, *singles)
+    return out
 
 
 def _noise(shape: tuple[int, ...], correlation: float, rng: np.random.Generator) -> Image32:
@@ -211,52 +151,13 @@ def align_to_colour(
     """
     if depth_camera == colour_camera and np.array_equal(T_colour_depth, np.eye(4)):
         return depth.copy()
-    out = np.full(colour_camera.width * colour_camera.height, 65535, np.uint16)
-    for top in range(0, len(depth), ROWS):
-        _draw_rectangles(out, depth[top : top + ROWS], top, depth_camera, colour_camera, T_colour_depth, unit)
+    out = np.full((colour_camera.height, colour_camera.width), 65535, np.uint16)
+    # the middle of each column and row of the depth image on the plane one metre away, and half a pixel of it
+    x = (np.arange(depth.shape[1], dtype=np.float32) - np.float32(depth_camera.cx)) / np.float32(depth_camera.fx)
+    y = (np.arange(depth.shape[0], dtype=np.float32) - np.float32(depth_camera.cy)) / np.float32(depth_camera.fy)
+    half = np.array([0.5 / depth_camera.fx, 0.5 / depth_camera.fy], np.float32)
+    c = colour_camera
+    to = np.array([c.fx, c.fy, c.cx, c.cy], np.float32)
+    draw_rectangles(out, depth, x, y, half, to, T_colour_depth.astype(np.float32), np.float32(unit))
     out[out == 65535] = 0
-    return out.reshape(colour_camera.height, colour_camera.width)
-
-
-def _draw_rectangles(
-    out: DepthImage,
-    depth: DepthImage,
-    row: int,
-    depth_camera: Intrinsics,
-    colour_camera: Intrinsics,
-    T_colour_depth: Array,
-    unit: float,
-) -> None:
-    """A strip (h, W) of the depth image from the given row on, into the flat colour image `out`; the lowest count stays."""
-    T = T_colour_depth.astype(np.float32)
-    width, height = colour_camera.width, colour_camera.height
-    z = depth * np.float32(unit)
-    centre_x = (np.arange(depth.shape[1], dtype=np.float32)[None] - np.float32(depth_camera.cx)) / np.float32(depth_camera.fx)
-    rows = np.arange(row, row + len(depth), dtype=np.float32)[:, None]
-    centre_y = (rows - np.float32(depth_camera.cy)) / np.float32(depth_camera.fy)
-    counts = np.rint(((T[2, 0] * centre_x + T[2, 1] * centre_y + T[2, 2]) * z + T[2, 3]) / np.float32(unit))
-    good = (depth > 0) & (counts >= 1) & (counts < 65535)
-    corners = []
-    for half in (-0.5, 0.5):
-        x, y = centre_x + np.float32(half / depth_camera.fx), centre_y + np.float32(half / depth_camera.fy)
-        px, py, pz = ((T[i, 0] * x + T[i, 1] * y + T[i, 2]) * z + T[i, 3] for i in range(3))
-        scale = np.float32(1) / np.maximum(pz, np.float32(1e-6))
-        corners += [px * scale * np.float32(colour_camera.fx) + np.float32(colour_camera.cx)]
-        corners += [py * scale * np.float32(colour_camera.fy) + np.float32(colour_camera.cy)]
-    margin = np.float32(0.25)
-    u0 = np.ceil(np.minimum(corners[0], corners[2]) - margin).clip(0, width)
-    u1 = np.floor(np.maximum(corners[0], corners[2]) + margin).clip(-1, width - 1)
-    v0 = np.ceil(np.minimum(corners[1], corners[3]) - margin).clip(0, height)
-    v1 = np.floor(np.maximum(corners[1], corners[3]) + margin).clip(-1, height - 1)
-    good &= (u0 <= u1) & (v0 <= v1)
-
-    cell = (v0.astype(np.intp) * width + u0.astype(np.intp)).ravel()
-    counted = counts.astype(np.uint16).ravel()
-    # few sizes of rectangle occur: all of one size at once, cell by cell
-    size = np.where(good, (v1 - v0) * np.float32(width) + (u1 - u0), np.float32(-1)).astype(np.intp).ravel()
-    for kind in np.flatnonzero(np.bincount(size + 1)[1:]).tolist():
-        chosen = np.flatnonzero(size == kind)
-        corner, value = cell[chosen], counted[chosen]
-        for dv in range(kind // width + 1):
-            for du in range(kind % width + 1):
-                np.minimum.at(out, corner + (dv * width + du), value)
+    return out
