@@ -127,7 +127,12 @@ class EstimationConfig(Section):
 
 
 class GraspsConfig(Section):
-    source: Literal["recorded", "none"] = "recorded"
+    source: Literal["auto", "recorded", "ffhnet", "none"] = Field(
+        "auto", description="auto: the robot's own where they are recorded, else FFHNet where the hand is one it knows"
+    )
+    candidates: int = Field(256, ge=1, le=10_000, description="grasps drawn per frame (paper: not given, PAPERS A14)")
+    generator: str | None = Field(None, description="weights, .safetensors or the authors' *_gen_net.pt; default: shipped")
+    evaluator: str | None = Field(None, description="weights, .safetensors or the authors' *_eva_net.pt; default: shipped")
 
 
 class SelectionConfig(Section):

@@ -7,6 +7,7 @@ import math
 import os
 import platform
 import struct
+import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -29,12 +30,14 @@ def set_thread_variables() -> None:
 
 
 def limit_threads() -> None:
-    """One thread in the libraries that are already loaded (BLAS by threadpoolctl, OpenCV by its own switch)."""
+    """One thread in the libraries that are already loaded (BLAS by threadpoolctl, OpenCV and torch by their own switch)."""
     import cv2
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(limits=1)
     cv2.setNumThreads(1)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
 
 
 def generator(seed: int, stage: str, frame: int) -> np.random.Generator:

@@ -14,15 +14,21 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.geometry import Array, transform
+from dgeval.physics.hand import ACTUATED
 from dgeval.recording.frame import Frame
-from dgeval.recording.trials import Trial
+from dgeval.recording.robot import JointTrack
+from dgeval.recording.trials import GRASP_TOPIC, Trial
 from dgeval.stages.execution import execute
+from dgeval.stages.grasping import Candidates, EncodedCloud, Networks, encode_cloud, evaluate, networks_of, propose
 from dgeval.stages.perception import Perception, pose_columns
+from dgeval.stages.reachability import Arm, arm_of
 from dgeval.stages.schedule import Delayed
-from dgeval.stages.selection import Grasp, select
+from dgeval.stages.selection import by_metric, grasp_metric
 from dgeval.stages.servo import Servo
 from dgeval.stages.target import find_target
 from dgeval.stages.types import Model, Tracked
+
+MOST_TRIED = 16  # candidates whose reachability is asked for in a frame
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
     state = perception or Perception(config)
     servo = Servo(config.servo)
     perceived: Delayed[Any] = Delayed(config.schedule.perception_latency_s)
-    proposed: Delayed[Any] = Delayed(config.schedule.grasps_latency_s)
+    grasping = _Grasping(trial, config)
     moving_base = trial.robot.base_frame is not None
     given = trial.spec.bbox
     given_ns = trial.spec.bbox_time_ns
@@ -68,39 +74,124 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
         seen = state.step(frame, T_base_camera, box, clock.lap)
         row = seen.row
         usable = perceived.step(frame.t_ns, (seen.estimate, seen.model, seen.T_camera_model, T_base_camera))
-        _control(frame, T_base_camera, usable, proposed, servo, row, config)
+        grasping.step(frame, T_base_camera, seen.model if seen.accepted else None, seen.T_camera_model)
+        clock.lap("grasps")
+        _control(frame, T_base_camera, usable, grasping.choose(frame, row), servo, row, config)
         clock.lap("control")
         shown = seen.T_camera_model if row.get("model_px") is not None else None
         yield Step(frame, row, clock.seconds, seen.tracked, seen.model, shown, T_base_camera, seen.accepted)
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """g*_t as T_base_palm (4, 4) and the score of the hand where it is (GraspEval); None where nobody scores it."""
+
+    T_base_palm: Array
+    hand_score: float | None
+
+
+def grasp_source(trial: Trial, config: Config) -> str:
+    """`recorded`, `ffhnet` or `none`: what `grasps.source` comes to in this trial."""
+    if config.grasps.source != "auto":
+        return config.grasps.source
+    if trial.scan.poses.get(GRASP_TOPIC):
+        return "recorded"
+    description = trial.robot.description
+    known = description is not None and {j.name for j in description.joints.values()}.issuperset(ACTUATED)
+    return "ffhnet" if known and trial.robot.palm_frame is not None else "none"
+
+
+class _Grasping:
+    """Grasps of each frame, recorded or by FFHNet on the model cloud, and the choice among them."""
+
+    def __init__(self, trial: Trial, config: Config) -> None:
+        self._config = config
+        source = grasp_source(trial, config)
+        self._recorded = source == "recorded"
+        self._networks: Networks | None = networks_of(config.grasps) if source == "ffhnet" else None
+        self._coming: Delayed[Any] = Delayed(config.schedule.grasps_latency_s)
+        self._arm: Arm | None = None
+        robot = trial.robot
+        if self._networks is not None and robot.description is not None and robot.base_frame and robot.palm_frame:
+            self._arm = arm_of(robot.description, robot.base_frame, robot.palm_frame)
+            self._joints = JointTrack.of(
+                trial.scan.joints.get(trial.roles.hand_joints or "", []), config.clock.hand_joints.offset_ns
+            )
+        self._at: Any = None
+
+    def step(self, frame: Frame, T_base_camera: Array | None, model: Model | None, T_camera_model: Array | None) -> None:
+        """Candidates for an accepted frame's model; what was recorded, as it was."""
+        if self._recorded:
+            self._at = self._coming.step(frame.t_ns, frame.grasp)
+        elif self._networks is not None and model is not None and T_camera_model is not None and T_base_camera is not None:
+            cloud = encode_cloud(transform(T_camera_model, model.points), self._networks)
+            drawn = propose(cloud, self._networks, self._config.grasps.candidates, self._config.seed, frame.index)
+            self._at = self._coming.step(frame.t_ns, (cloud, drawn, T_base_camera))
+        else:
+            self._at = self._coming.at(frame.t_ns)
+
+    def choose(self, frame: Frame, row: dict[str, Any]) -> _Choice | None:
+        """The best by the dynamic metric that the arm can reach, and its columns."""
+        if self._at is None or self._at[1] is None:
+            return None
+        palm, config = frame.T_base_palm, self._config
+        if self._recorded:
+            grasp = self._at[1]
+            row["n_grasps"] = 1
+            if palm is not None and grasp.score is not None:
+                metric = grasp_metric(grasp.T_base_palm[None], np.array([grasp.score]), palm, config.selection)
+                row["grasp_metric"] = float(metric[0])
+            return _Choice(grasp.T_base_palm, grasp.score)
+        assert self._networks is not None
+        cloud, drawn, T_base_camera = self._at[1]
+        assert isinstance(cloud, EncodedCloud)
+        assert isinstance(drawn, Candidates)
+        poses = T_base_camera @ drawn.T_cloud_palm
+        row["n_grasps"] = len(poses)
+        metric = drawn.scores if palm is None else grasp_metric(poses, drawn.scores, palm, config.selection)
+        chosen = self._first_reachable(poses, by_metric(metric).tolist(), frame.t_ns)
+        if chosen is None:
+            return None
+        row["grasp_score"] = float(drawn.scores[chosen])
+        if palm is None:
+            return _Choice(poses[chosen], None)
+        row["grasp_metric"] = float(metric[chosen])
+        T_cloud_palm = np.linalg.inv(T_base_camera) @ palm
+        score = evaluate(cloud, self._networks, T_cloud_palm[None], drawn.joints[chosen][None])
+        return _Choice(poses[chosen], float(score[0]))
+
+    def _first_reachable(self, poses: Array, order: list[int], t_ns: int) -> int | None:
+        """Without the arm's kinematics or joints every grasp counts as reachable."""
+        if self._arm is None:
+            return order[0] if order else None
+        gap = round(self._config.sync.max_pose_gap_s * 1e9)
+        q = [self._joints.at(j.name, t_ns, gap) for j in self._arm.movable]
+        if any(v is None for v in q):
+            return order[0] if order else None
+        start = np.array(q, dtype=float)
+        return next((k for k in order[:MOST_TRIED] if self._arm.solve(poses[k], start) is not None), None)
 
 
 def _control(
     frame: Frame,
     T_base_camera: Array | None,
     usable: tuple[int, Any] | None,
-    proposed: Delayed[Any],
+    grasp: _Choice | None,
     servo: Servo,
     row: dict[str, Any],
     config: Config,
 ) -> None:
-    """Grasp, servo and execution columns; all null without a grasp in the log or without the palm's pose."""
+    """Grasp, servo and execution columns; all null without a grasp or without the palm's pose."""
     palm = frame.T_base_palm
     if palm is not None:
         row.update(pose_columns("hand", palm))
-    recorded = frame.grasp if config.grasps.source == "recorded" else None
-    at = proposed.step(frame.t_ns, recorded)
-    grasp = at[1] if at else None
     if grasp is None:
         return
     row.update(pose_columns("grasp", grasp.T_base_palm))
-    row["n_grasps"] = 1
-    row["hand_score"] = grasp.score
-    row["execute"] = execute(grasp.score, config.execution)
+    row["hand_score"] = grasp.hand_score
+    row["execute"] = execute(grasp.hand_score, config.execution)
     if palm is None:
         return
-    chosen = select([Grasp(grasp.T_base_palm, grasp.score)], palm, config.selection)
-    if chosen is not None:
-        row["grasp_metric"] = chosen[1] if grasp.score is not None else None
     estimate, model, T_camera_model, T_then = usable[1] if usable else (None, None, None, None)
     velocity = estimate.velocity if estimate is not None else np.zeros(3)
     target = grasp.T_base_palm[:3, 3]

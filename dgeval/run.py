@@ -25,7 +25,7 @@ from dgeval.geometry import Array
 from dgeval.hindsight import Hindsight, Seen, Surface, look_back, seen_of
 from dgeval.recording.containers import describe
 from dgeval.recording.trials import Trial, TrialSpec, open_trial
-from dgeval.replay import Step, replay
+from dgeval.replay import Step, grasp_source, replay
 from dgeval.schema import (
     FRAMES,
     FRAMES_ADDED,
@@ -200,8 +200,12 @@ def _trial_row(
         notes.append("self_filter: none, no robot description")
     stand_in = {"model": "model tracker", "csrt": "CSRT"}[config.tracking.method]
     notes.append(f"stand-in: {stand_in} in place of TransT-M")
-    if any(g for g in trial.scan.poses.get("/dgeval/belief/grasp", [])):
+    source = grasp_source(trial, config)
+    if source == "recorded":
         notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
+    elif source == "ffhnet":
+        own = config.grasps.generator is None and config.grasps.evaluator is None
+        notes.append("grasps by FFHNet with " + ("dgeval's own weights" if own else "the given weights"))
     row: dict[str, Any] = {
         "trial": spec.id,
         "recording": spec.recording.name,

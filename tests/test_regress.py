@@ -134,6 +134,27 @@ def test_last_bits_are_within_tolerance_and_more_is_not(before: Run, tmp_path: P
 
 
 @pytest.mark.slow
+def test_grasps_by_ffhnet_in_place_of_the_recorded_ones(manifest: Path, before: Run, tmp_path: Path) -> None:
+    """Named in the notes, in every frame that has a model, near the target, the same twice, and caught at `grasps`."""
+    once, again = (run_of(manifest, tmp_path / name, "grasps.source=ffhnet", "grasps.candidates=64") for name in "ab")
+    assert not compare_runs(once, again).differences
+    assert "FFHNet with dgeval's own weights" in once.trials["notes"].iloc[0]
+    frames = once.frames("a")
+    chosen = frames[frames["grasp_px"].notna()]
+    assert len(chosen) > 20
+    assert (chosen["n_grasps"] == 64).all()
+    assert chosen["grasp_score"].between(0, 1).all()
+    assert chosen["hand_score"].between(0, 1).all()
+    near = (
+        chosen[["grasp_px", "grasp_py", "grasp_pz"]].to_numpy() - chosen[["feature_px", "feature_py", "feature_pz"]].to_numpy()
+    )
+    assert np.nanmax(np.linalg.norm(near.astype(float), axis=1)) < 0.35
+    first = compare_runs(before, once).first
+    assert first is not None
+    assert first.first.stage == "grasps"
+
+
+@pytest.mark.slow
 def test_a_run_that_is_shorter_differs(before: Run) -> None:
     frames = before.frames("a")
     found = difference("a", frames, frames.iloc[:20])

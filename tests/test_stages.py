@@ -27,7 +27,7 @@ from dgeval.stages.observation import observe
 from dgeval.stages.plane import fit_plane
 from dgeval.stages.registration import BACKENDS, gate, register
 from dgeval.stages.schedule import Delayed
-from dgeval.stages.selection import Grasp, grasp_metric, select
+from dgeval.stages.selection import by_metric, grasp_metric
 from dgeval.stages.self_filter import hand_pixels, signed_distance
 from dgeval.stages.servo import Servo, blend_rotation, look_at_rotation
 from dgeval.stages.types import Model, Observation, Registration, Tracked
@@ -312,20 +312,18 @@ def test_filter_survives_equal_stamps_and_long_pauses() -> None:
 
 
 def test_of_two_equal_grasps_the_nearer_wins() -> None:
-    near, far = Grasp(at(x=0.1), 0.8), Grasp(at(x=0.3), 0.8)
-    chosen = select([far, near], np.eye(4), SelectionConfig())
-    assert chosen is not None
-    assert chosen[0] is near
-    literal = select([far, near], np.eye(4), SelectionConfig(literal_eq5=True))
-    assert literal is not None
-    assert literal[0] is far
+    far_and_near = np.array([at(x=0.3), at(x=0.1)])
+    for literal, first in ((False, 1), (True, 0)):
+        metric = grasp_metric(far_and_near, np.array([0.8, 0.8]), np.eye(4), SelectionConfig(literal_eq5=literal))
+        assert by_metric(metric)[0] == first
 
 
 def test_metric_closed_form_and_nan_scores() -> None:
-    grasp = Grasp(at(x=0.3, rotvec=(0, 0, 0.5)), 0.9)
-    assert grasp_metric(grasp, np.eye(4), SelectionConfig()) == pytest.approx(0.9 - 0.1 * 0.3 - 0.2 * 0.5)
-    assert select([Grasp(np.eye(4), float("nan"))], np.eye(4), SelectionConfig()) is None
-    assert select([], np.eye(4), SelectionConfig()) is None
+    grasps = np.array([at(x=0.3, rotvec=(0, 0, 0.5)), np.eye(4)])
+    metric = grasp_metric(grasps, np.array([0.9, np.nan]), np.eye(4), SelectionConfig())
+    assert metric[0] == pytest.approx(0.9 - 0.1 * 0.3 - 0.2 * 0.5)
+    assert by_metric(metric).tolist() == [0]
+    assert by_metric(np.full(3, 0.4)).tolist() == [0, 1, 2]
 
 
 def test_servo_law_at_rest_is_proportional_plus_velocity() -> None:

@@ -8,7 +8,7 @@ set_thread_variables()  # before numpy is imported anywhere
 
 import typer  # noqa: E402
 
-from dgeval.cli import compare, config_show, inspect, regress, replay, report, simulate, view  # noqa: E402
+from dgeval.cli import compare, config_show, inspect, regress, replay, report, simulate, train, view  # noqa: E402
 
 app = typer.Typer(
     name="dgeval",
@@ -24,6 +24,7 @@ app.command("view", epilog=view.EXAMPLES)(view.view)
 app.command("simulate", epilog=simulate.EXAMPLES)(simulate.simulate)
 app.command("compare", epilog=compare.EXAMPLES)(compare.compare)
 app.command("regress", epilog=regress.EXAMPLES)(regress.regress)
+app.command("train", epilog=train.EXAMPLES)(train.train)
 app.add_typer(config_show.app, name="config")
 
 

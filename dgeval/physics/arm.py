@@ -96,7 +96,7 @@ class ArmKinematics:
         dq[near_high] = np.minimum(dq[near_high], 0.0)
         return np.asarray(dq)
 
-    def solve(self, T_base_palm: Array, q: Array, iterations: int = 200) -> tuple[Array, float]:
+    def solve(self, T_base_palm: Array, q: Array, iterations: int = 200, enough: float = 1e-6) -> tuple[Array, float]:
         """Joint positions (7,) near q that bring the palm to a pose, and what is left of the error (m + 0.1 m per rad)."""
         q = q.copy()
         residual = np.inf
@@ -104,7 +104,7 @@ class ArmKinematics:
             T = self.palm(q)
             error = np.concatenate([T_base_palm[:3, 3] - T[:3, 3], rotation_vector(T_base_palm[:3, :3] @ T[:3, :3].T)])
             residual = float(np.linalg.norm(error[:3]) + 0.1 * np.linalg.norm(error[3:]))
-            if residual < 1e-6:
+            if residual < enough:
                 break
             q = np.clip(q + 0.3 * self.joint_velocity(q, error / 0.3), LOWER + 0.021, UPPER - 0.021)
         return q, residual

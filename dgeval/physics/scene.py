@@ -13,6 +13,7 @@ from dgeval.geometry import Array, Intrinsics
 from dgeval.physics.arm import add_arm
 from dgeval.physics.hand import add_hand, place
 from dgeval.physics.objects import ObjectModel, add_object
+from dgeval.physics.presenter import add_presenter
 from dgeval.physics.texture import add_ground
 
 BELT_CENTRE, BELT_HALF = (0.50, 0.0), (0.22, 0.95)  # m; it runs along y
@@ -36,8 +37,12 @@ def build(
     belt_speed: float = 0.0,
     robot: Literal["arm", "hand", "none"] = "arm",
     cameras: tuple[Camera, ...] = (),
+    presented: bool = False,
 ) -> mujoco.MjModel:
-    """Compile a world. belt_speed m/s along +y (sign gives the direction); `hand` hangs on a mocap body, `none` is no robot."""
+    """Compile a world. belt_speed m/s along +y (sign gives the direction); `hand` hangs on a mocap body, `none` is no robot.
+
+    presented: a person's hand holds the object.
+    """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     o = spec.option
@@ -61,6 +66,8 @@ def build(
         ground.contype, ground.conaffinity, ground.condim = 1, 3, 4
         ground.friction, ground.solref = [0.6, 0.005, 0.0001], [0.008, 1]
     add_object(spec, thing)
+    if presented:
+        add_presenter(spec, thing.extent())
     if robot == "arm":
         add_hand(spec, add_arm(spec, world.add_body(name="base_link")))
     elif robot == "hand":

@@ -35,7 +35,7 @@ class LinkShape:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """A URDF joint: T_parent_child = origin · motion(q · multiplier + offset of the joint it follows)."""
+    """A URDF joint: T_parent_child = origin · motion(q · multiplier + offset of the joint it follows). Limits in rad or m."""
 
     name: str
     parent: str
@@ -46,6 +46,8 @@ class Joint:
     follows: str
     multiplier: float
     offset: float
+    lower: float = -np.inf
+    upper: float = np.inf
 
     def at(self, q: float) -> Array:
         """T_parent_child (4, 4) at joint position q, rad or m, of the joint it follows."""
@@ -74,6 +76,14 @@ class Description:
             if not more:
                 return sorted(out)
             out |= more
+
+
+def _limits(joint: Any) -> tuple[float, float]:
+    """Lower and upper of a joint with limits that leave it room; none else."""
+    limit = joint.limit
+    if joint.type == "continuous" or limit is None or limit.lower is None or limit.upper is None or limit.lower >= limit.upper:
+        return -np.inf, np.inf
+    return float(limit.lower), float(limit.upper)
 
 
 def load_description(text: str, source: str, mesh_dirs: tuple[str, ...], radius: float) -> Description:
@@ -107,6 +117,7 @@ def load_description(text: str, source: str, mesh_dirs: tuple[str, ...], radius:
             mimic.joint if mimic else joint.name,
             (mimic.multiplier if mimic and mimic.multiplier is not None else 1.0),
             (mimic.offset if mimic and mimic.offset is not None else 0.0),
+            *_limits(joint),
         )
         if not (np.isfinite(joints[joint.child].origin).all() and np.isfinite(axis).all()):
             raise UsageError(f"joint {joint.name} of the robot description has numbers that are none", Place(source))

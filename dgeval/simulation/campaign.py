@@ -29,6 +29,7 @@ from dgeval.simulation.blame import blame
 from dgeval.simulation.grasps import KnownGrasp, known_grasps
 from dgeval.simulation.meshes import load_meshes
 from dgeval.simulation.perception import ModelledPerception, depth_profile, true_cameras
+from dgeval.simulation.proposals import FFHNetGrasps, GraspSource, KnownGrasps
 from dgeval.simulation.record import verdict_document, write_recording
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Plan, Scenario, plan_trial
@@ -36,6 +37,7 @@ from dgeval.simulation.seeing import Images, RenderedPerception
 from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, twin_path
+from dgeval.stages.grasping import networks_of
 
 BLOCK = 24  # trials simulated between two looks at what is still wanted; a constant, so that jobs don't matter
 
@@ -82,15 +84,22 @@ def _things(meshes: Path | None) -> dict[str, ObjectModel]:
 
 
 @cache
-def _grasps(meshes: Path | None, name: str) -> list[KnownGrasp]:
+def _known(meshes: Path | None, name: str) -> list[KnownGrasp]:
     return known_grasps(_things(meshes)[name])
+
+
+def _grasps(campaign: Campaign, plan: Plan) -> GraspSource:
+    scenario = campaign.scenario
+    if scenario.grasps == "analytic":
+        return KnownGrasps(_known(campaign.meshes, plan.object), scenario.evaluator)
+    return FFHNetGrasps(networks_of(scenario.pipeline.grasps), scenario.pipeline.grasps.candidates, plan.seed, plan.index)
 
 
 def simulate(campaign: Campaign, plan: Plan) -> tuple[Run, World]:
     """One trial in closed loop on modelled perception, without images."""
-    world = World(_things(campaign.meshes)[plan.object], plan.speed)
+    world = World(_things(campaign.meshes)[plan.object], plan.speed, presenter=plan.presenter)
     perceiver = ModelledPerception(campaign.scenario, plan, world)
-    return run_trial(plan, campaign.scenario, world, _grasps(campaign.meshes, plan.object), perceiver), world
+    return run_trial(plan, campaign.scenario, world, _grasps(campaign, plan), perceiver), world
 
 
 @contextmanager
@@ -98,14 +107,14 @@ def with_images(campaign: Campaign, plan: Plan) -> Iterator[tuple[Run, World, Ey
     """One trial in closed loop in a world with cameras; the images kept are those that perception drew in the loop."""
     scenario = campaign.scenario
     cameras = true_cameras(scenario, plan)
-    world = World(_things(campaign.meshes)[plan.object], plan.speed, cameras)
+    world = World(_things(campaign.meshes)[plan.object], plan.speed, cameras, plan.presenter)
     with Eyes(world, cameras, depth_profile(scenario), plan.seed, plan.index) as eyes:
         perceiver: ModelledPerception | RenderedPerception = ModelledPerception(scenario, plan, world)
         kept: dict[int, Images] = {}
         if scenario.perception == "rendered":
             perceiver = RenderedPerception(scenario, plan, eyes)
             kept = perceiver.kept
-        run = run_trial(plan, scenario, world, _grasps(campaign.meshes, plan.object), perceiver)
+        run = run_trial(plan, scenario, world, _grasps(campaign, plan), perceiver)
         yield run, world, eyes, kept
 
 
@@ -183,14 +192,14 @@ def _record(
     campaign: Campaign, plan: Plan, run: Run, world: World, verdict: dict[str, Any], eyes: Eyes, kept: dict[int, Images]
 ) -> dict[str, Any]:
     start = time.perf_counter()
-    twin = twin_path(world.thing, plan.speed, plan.x, plan.y, plan.yaw, len(run.ticks) * CONTROL_S + AFTER_CLOSE_S)
+    seconds = len(run.ticks) * CONTROL_S + AFTER_CLOSE_S
+    twin = twin_path(world.thing, plan.speed, plan.x, plan.y, plan.yaw, seconds, plan.presenter)
     file = campaign.out / recording_name(campaign, plan.id)
     part = campaign.out / "part" / file.name
     if part.is_dir():
         shutil.rmtree(part)
     part.parent.mkdir(exist_ok=True)
-    grasps = _grasps(campaign.meshes, plan.object)
-    recorded = write_recording(part, run, verdict, twin, campaign.scenario, world, grasps, eyes, kept)
+    recorded = write_recording(part, run, verdict, twin, campaign.scenario, world, eyes, kept)
     if file.is_dir():
         shutil.rmtree(file)
     part.rename(file)

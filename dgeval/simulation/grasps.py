@@ -22,6 +22,7 @@ from dgeval.physics.objects import ObjectModel, at
 from dgeval.physics.scene import TIMESTEP, build
 
 REPETITIONS = 6
+SHAKE = 2 * 2 * 9.81 / (2 * np.pi * 5.0) ** 2  # m, to and fro: 2 g at 5 Hz
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ class FlyingHand:
         kinds = [(self.model.geom(i).contype[0], self.model.geom(i).type[0]) for i in range(self.model.ngeom)]
         self._capsules = np.array([i for i, (c, t) in enumerate(kinds) if c == 2 and t == mujoco.mjtGeom.mjGEOM_CAPSULE])
         self._of_hand = np.array([self.model.geom(i).contype[0] == 2 for i in range(self.model.ngeom)])
+        self._of_object = np.array([self.model.geom(i).name.startswith("object_") for i in range(self.model.ngeom)])
 
     def put(self, T_base_hand: Array, preshape: Array) -> None:
         """The hand at a pose with its fingers preshaped, the object at rest at x 0.5, y 0."""
@@ -87,13 +89,26 @@ class FlyingHand:
         z = ends[0][:, 2] - np.abs(ends[1][:, 2]) * self.model.geom_size[self._capsules, 1] - RADIUS
         return float(z.min())
 
-    def lifts(self, preshape: Array) -> bool:
-        """Close, lift, hold for 0.3 s; True if the object came along."""
+    def overlap(self, anything: bool = False) -> float:
+        """Deepest overlap of the hand with the object, or with anything, m."""
+        pairs = self.data.contact.geom
+        if not len(pairs):
+            return 0.0
+        counted = self._of_hand[pairs].any(axis=1) & (anything | self._of_object[pairs].any(axis=1))
+        return float(max(0.0, -self.data.contact.dist[counted].min())) if counted.any() else 0.0
+
+    def lifts(self, preshape: Array, shake: bool = False) -> bool:
+        """Close, lift, hold for 0.3 s; True if the object came along. `shake`: it must also stay through a shake of 2 g."""
         m, d = self.model, self.data
         start = d.mocap_pos[0].copy()
-        steps = round((CLOSE_S + SETTLE_S + LIFT_S + 0.3) / TIMESTEP)
+        lifted = CLOSE_S + SETTLE_S + LIFT_S
+        steps = round((lifted + 0.3) / TIMESTEP)
         for k in range(steps):
             t = k * TIMESTEP
+            if shake and t > lifted:
+                # half a second's worth of a 5 Hz swing across the lift, begun and ended at rest
+                phase = 2 * np.pi * (t - lifted) / 0.2
+                d.mocap_pos[0, :2] = start[:2] + SHAKE * (1 - np.cos(phase)) / 2 * np.array([0.8, 0.6])
             d.ctrl[self._drives] = finger_targets(t, preshape)
             rise = float(np.clip((t - CLOSE_S - SETTLE_S) / LIFT_S, 0, 1))
             d.mocap_pos[0, 2] = start[2] + LIFT_HEIGHT * rise * rise * (3 - 2 * rise)

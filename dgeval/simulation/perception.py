@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
-from dgeval.physics.objects import surface_points
+from dgeval.physics.objects import ObjectModel, surface_points
 from dgeval.physics.scene import Camera
+from dgeval.simulation.clouds import seen_from
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.sensors import PROFILES, DepthProfile, colour_from_depth, colour_intrinsics, depth_intrinsics
 from dgeval.simulation.world import World
@@ -26,9 +27,13 @@ MIN_SHARE = 0.35  # of the surface points on the object's near side inside the i
 
 @dataclass(frozen=True)
 class Sight:
-    """One frame's result: T_base_object as the robot believes it, None when the registration was refused or the view lost."""
+    """One frame's result: T_base_object as the robot believes it, None when the registration was refused or the view lost.
+
+    cloud: the model (n, 3) of an accepted frame, base frame, where the scenario's grasps need one.
+    """
 
     T_base_object: Array | None
+    cloud: Array | None = None
 
 
 class Perceiver(Protocol):
@@ -75,6 +80,9 @@ class ModelledPerception:
         self._min_range = depth_profile(scenario).min_range
         self._points = surface_points(world.thing, 200, generator(0, f"points/{world.thing.name}", 0))
         self._bias = increment(np.array(plan.faults.registration_bias))
+        self._model: ModelledCloud | None = None
+        if scenario.grasps == "ffhnet":
+            self._model = ModelledCloud(world.thing, scenario.pipeline.fusion.max_model_points, plan)
 
     def see(self, frame: int, t_ns: int, world: World) -> Sight:  # noqa: ARG002  the protocol's
         T_base_hand = world.T_base_hand()
@@ -90,4 +98,25 @@ class ModelledPerception:
         noise = np.concatenate([rng.normal(0, self._noise.position, 3), np.radians(rng.normal(0, self._noise.angle, 3))])
         T = T_base_hand @ T_hand_camera @ T_camera_object @ self._bias @ increment(noise)
         T[:3, 3] += np.array(self._plan.faults.tracker_drift) * world.t
-        return Sight(T)
+        return Sight(T, None if self._model is None else transform(T, self._model.step(frame, T_camera_object)))
+
+
+class ModelledCloud:
+    """The fused model of modelled perception: what the camera has seen of the surface so far, as first measured."""
+
+    def __init__(self, thing: ObjectModel, most: int, plan: Plan) -> None:
+        self._surface = surface_points(thing, 2 * most, generator(0, f"model/{thing.name}", 0))
+        self._most, self._plan = most, plan
+        self._points = np.empty((0, 3))
+        self._known = np.zeros(len(self._surface), bool)
+
+    def step(self, frame: int, T_camera_object: Array) -> Array:
+        """Model points (n, 3), object frame, after one more frame."""
+        rng = generator(self._plan.seed, f"model/{self._plan.index}", frame)
+        rows, measured = seen_from(self._surface, T_camera_object, rng)
+        new = ~self._known[rows]
+        self._known[rows] = True
+        self._points = np.concatenate([self._points, transform(invert(T_camera_object), measured[new])])
+        if len(self._points) > self._most:
+            self._points = self._points[np.sort(rng.permutation(len(self._points))[: self._most])]
+        return self._points

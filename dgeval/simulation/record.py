@@ -30,7 +30,6 @@ from dgeval.recording.write import (
     text,
     twist_stamped,
 )
-from dgeval.simulation.grasps import KnownGrasp
 from dgeval.simulation.perception import T_hand_camera
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Scenario
@@ -46,7 +45,10 @@ DEPTH_TOPIC = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
 COLOUR_TOPIC = "/camera/color/image_raw/compressed"
 MODELLED = "simulated: tracking and registration in the loop are modelled (truth with drawn errors), not TransT-M and ICP"
 RENDERED = "simulated: the model tracker stands in for TransT-M in the loop; registration, fusion and estimation ran on images"
-STAND_INS = ("simulated: grasps from an analytic sampler checked in physics and an analytic score stand in for FFHNet",)
+GRASPS = {
+    "analytic": "simulated: grasps from an analytic sampler checked in physics and an analytic score stand in for FFHNet",
+    "ffhnet": "simulated: grasps and scores by FFHNet with dgeval's own weights",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +60,8 @@ class Recorded:
 
 
 def write_recording(
-    path: Path, run: Run, verdict: dict[str, Any], twin: Array, scenario: Scenario, world: World, grasps: list[KnownGrasp],
-    eyes: Eyes, kept: dict[int, Images],
+    path: Path, run: Run, verdict: dict[str, Any], twin: Array, scenario: Scenario, world: World, eyes: Eyes,
+    kept: dict[int, Images],
 ) -> Recorded:  # fmt: skip
     """Write everything in time order. `world` and `eyes` have the run's cameras.
 
@@ -105,7 +107,7 @@ def write_recording(
             if belief.velocity is not None:
                 twist = np.concatenate([belief.velocity, np.zeros(3)])
                 writer.write("/dgeval/belief/velocity", t_ns, twist_stamped(t_ns, BASE, twist))
-            for topic, value in _choice(run, k, t_ns, grasps):
+            for topic, value in _choice(run, k, t_ns):
                 writer.write(topic, t_ns, value)
         end = _at(len(run.ticks))
         writer.write("/truth/verdict", end, text(json.dumps(verdict, sort_keys=True)))
@@ -136,7 +138,7 @@ def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scena
         "faults": plan.faults.as_dict(),
         "faults_present": plan.faults.present(),
         "blame": blame,
-        "scenario": scenario.name,
+        "scenario": scenario.plans_of or scenario.name,
         "object": plan.object,
         "speed": plan.speed,
         "yaw": plan.yaw,
@@ -154,7 +156,7 @@ def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
     perception = MODELLED if scenario.perception == "modelled" else RENDERED
     start = {
         "event": "trial_start",
-        "notes": [perception, *STAND_INS, f"simulated: servo gains {scenario.pipeline.servo.gains}"],
+        "notes": [perception, GRASPS[scenario.grasps], f"simulated: servo gains {scenario.pipeline.servo.gains}"],
     }
     out = {0: [("/dgeval/events", text(json.dumps(start)))]}
     if run.close is not None:
@@ -191,13 +193,13 @@ def _states(run: Run, twin: Array, world: World) -> Iterator[tuple[int, list[tup
         yield k, out
 
 
-def _choice(run: Run, k: int, t_ns: int, grasps: list[KnownGrasp]) -> list[tuple[str, Any]]:
+def _choice(run: Run, k: int, t_ns: int) -> list[tuple[str, Any]]:
     """The grasp chosen, its score and the decision, as of a frame."""
     tick = run.ticks[k]
     out: list[tuple[str, Any]] = []
-    if tick.T_base_grasp is not None and tick.grasp is not None:
+    if tick.T_base_grasp is not None and tick.preshape is not None:
         out.append(("/dgeval/belief/grasp", pose_stamped(t_ns, BASE, tick.T_base_grasp)))
-        out.append(("/dgeval/belief/grasp_joints", joint_state(t_ns, ACTUATED, grasps[tick.grasp].preshape)))
+        out.append(("/dgeval/belief/grasp_joints", joint_state(t_ns, ACTUATED, tick.preshape)))
     if tick.score is not None:
         out.append(("/dgeval/belief/score", message("std_msgs/Float64", data=tick.score)))
     out.append(("/dgeval/belief/execute", message("std_msgs/Bool", data=tick.execute)))

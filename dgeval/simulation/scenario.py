@@ -15,6 +15,8 @@ from dgeval.config import Config, read_toml, validated
 from dgeval.determinism import generator
 from dgeval.errors import Place, UsageError
 from dgeval.physics.objects import ObjectModel
+from dgeval.physics.presenter import Presenter
+from dgeval.physics.presenter import drawn as drawn_presenter
 from dgeval.simulation.faults import Faults, draw
 
 PACKAGE = resources.files("dgeval.simulation")
@@ -53,8 +55,16 @@ class EvaluatorConfig(_Section):
     angle: float = Field(8.0, gt=0, description="s_r, degrees")
 
 
+class PresenterConfig(_Section):
+    """A person hands the object over in place of a belt; the tremor's standard deviations."""
+
+    tremor_m: float = Field(0.003, ge=0, description="m, each axis")
+    tremor_deg: float = Field(1.5, ge=0, description="degrees, each axis")
+
+
 class Scenario(_Section):
     name: str
+    presenter: PresenterConfig | None = Field(None, description="the object is handed over; default: a belt")
     objects: tuple[str, ...] | None = Field(None, description="default: all ten, or those of --meshes")
     speeds: tuple[float, ...] = (0.0,)
     trials: int = Field(10, ge=1)
@@ -66,6 +76,10 @@ class Scenario(_Section):
     perception: Literal["modelled", "rendered"] = Field(
         "modelled", description="in the loop: truth with errors, or the pipeline's own stages on rendered images"
     )
+    grasps: Literal["ffhnet", "analytic"] = Field(
+        "ffhnet", description="in the loop: the shipped FFHNet on the model cloud, or known grasps with an analytic score"
+    )
+    plans_of: str | None = Field(None, description="draw the same trials as the scenario of that name")
     max_seconds: float = Field(7.0, gt=1, description="without a close, the trial ends")
     camera: CameraConfig = CameraConfig()
     noise: PerceptionNoise = PerceptionNoise()
@@ -92,6 +106,7 @@ class Plan:
     seed: int
     index: int
     close_jitter: float = 0.0
+    presenter: Presenter | None = None
 
 
 def load_scenario(name: str) -> Scenario:
@@ -147,7 +162,8 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
         raise UsageError(f"scenario: no object {missing[0]!r}", hint=f"known: {', '.join(things)}")
     name = names[index % len(names)]
     speed = scenario.speeds[index // len(names) % len(scenario.speeds)]
-    rng = generator(seed, f"plan/{scenario.name}", index)
+    drawn_as = scenario.plans_of or scenario.name
+    rng = generator(seed, f"plan/{drawn_as}", index)
     direction = 1.0 if rng.random() < 0.5 else -1.0
     yaw = float(rng.uniform(-3.14159, 3.14159))
     x = 0.47 + float(rng.uniform(-0.06, 0.06))
@@ -160,10 +176,14 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
         wanted = [str(n) for n in rng.choice(list(scenario.faults), count, replace=False, p=weights / weights.sum())]
     values: dict[str, Any] = {}
     for fault in Faults.__dataclass_fields__:  # each from its own draws, so that adding one changes no other
-        own = generator(seed, f"plan/{scenario.name}/{fault}", index)
+        own = generator(seed, f"plan/{drawn_as}/{fault}", index)
         config = scenario.faults.get(fault)
         drawn = own.random() < (config.share if config is not None else 0.0)
         if config is not None and (drawn if wanted is None else fault in wanted):
             values[fault] = draw(own, fault, config.size)
     trial_id = f"{name}-{round(speed * 1000):03d}-{index:04d}"
-    return Plan(trial_id, name, direction * speed, x, y, yaw, home_y, Faults(**values), seed, index)
+    presenter = None
+    if (config_of := scenario.presenter) is not None:
+        own = generator(seed, f"plan/{drawn_as}/presenter", index)
+        presenter = drawn_presenter(own, things[name].extent(), x, y, yaw, config_of.tremor_m, np.radians(config_of.tremor_deg))
+    return Plan(trial_id, name, direction * speed, x, y, yaw, home_y, Faults(**values), seed, index, presenter=presenter)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dgeval.geometry import Array, increment, invert
+from dgeval.geometry import Array, increment, invert, transform
 from dgeval.physics.scene import pose_of
 from dgeval.physics.urdf import robot_urdf
 from dgeval.recording.description import Description, LinkShape, load_description
@@ -87,7 +87,7 @@ class RenderedPerception:
             self._T_model_object = invert(seen.T_camera_model) @ T_camera_object
         T = T_base_camera @ seen.T_camera_model @ self._T_model_object @ self._bias
         T[:3, 3] += np.array(self._plan.faults.tracker_drift) * world.t
-        return Sight(T)
+        return Sight(T, None if seen.model is None else transform(T_base_camera @ seen.T_camera_model, seen.model.points))
 
 
 def hand_shapes(description: Description, world: World, T_base_camera: Array) -> list[tuple[LinkShape, Array]]:

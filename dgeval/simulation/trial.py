@@ -5,51 +5,53 @@ Estimation, selection, servo, execution and schedule are the stages that replay 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from dgeval.config import SelectionConfig
 from dgeval.determinism import generator
-from dgeval.geometry import Array, increment, rotation_angle
+from dgeval.geometry import Array, increment
 from dgeval.physics.closing import CONTROL_S, NEAR, TRUTH_STEP
 from dgeval.physics.hand import MAX_SPEED
-from dgeval.simulation.grasps import KnownGrasp
 from dgeval.simulation.perception import Perceiver, T_hand_camera
-from dgeval.simulation.scenario import EvaluatorConfig, Plan, Scenario
+from dgeval.simulation.proposals import GraspSource, Proposals
+from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import FINISH_S, Finish, Finisher, Snapshot, World, home
 from dgeval.stages.estimation import VelocityFilter
 from dgeval.stages.execution import execute
 from dgeval.stages.schedule import Delayed
-from dgeval.stages.selection import Grasp, select
+from dgeval.stages.selection import by_metric, grasp_metric
 from dgeval.stages.servo import Servo
 
 OPEN = np.tile([0.0, 0.15, 0.25], 5)  # fingers before a grasp is chosen
 MAX_TWIST = np.array([0.7, 0.7, 0.7, 2.0, 2.0, 2.0])  # m/s, rad/s
+MOST_TRIED, REACHED = 32, 1e-3  # candidates whose reachability is asked for, per set; error m + 0.1 m per rad
 REACH = 0.62  # m along the belt; beyond it the arm gives up
 
 
 @dataclass(frozen=True, slots=True)
 class Usable:
-    """A frame's result as the controller gets it: image time s, believed T_base_object, velocity (3,) m/s."""
+    """A frame's result as the controller gets it: image time s, believed T_base_object, velocity (3,) m/s, candidates."""
 
     t: float
     T_base_object: Array
     velocity: Array
+    proposals: Proposals | None
 
 
 @dataclass(frozen=True)
 class Tick:
     """One control period: state before it, and what the robot believed and commanded in it.
 
-    contact, foreign: the hand touches the object, or anything else. distance: hand to object, m, up to NEAR, in every
-    third period of the approach.
+    preshape (15,): of the grasp chosen. contact, foreign: the hand touches the object, or anything else. distance: hand to
+    object, m, up to NEAR, in every third period of the approach.
     """
 
     snapshot: Snapshot
     T_base_object: Array | None
     T_base_grasp: Array | None
-    grasp: int | None
+    preshape: Array | None
     velocity: Array
     twist: Array
     score: float | None
@@ -86,20 +88,12 @@ class Run:
     preshape: Array = field(default_factory=lambda: OPEN.copy())
 
 
-def analytic_score(T_base_palm: Array, T_base_grasp: Array, quality: float, bias: float, c: EvaluatorConfig) -> float:
-    """Stand-in for FFHNet's evaluator: how near the palm is to a grasp that is known to hold, and how well that holds."""
-    d = float(np.linalg.norm(T_base_palm[:3, 3] - T_base_grasp[:3, 3]))
-    angle = rotation_angle(T_base_palm[:3, :3].T @ T_base_grasp[:3, :3])
-    value = (0.5 + 0.5 * quality) * np.exp(-0.5 * (d / c.position) ** 2 - 0.5 * (angle / np.radians(c.angle)) ** 2)
-    return float(np.clip(value + bias, 0.0, 1.0))
-
-
 def frame_ticks(rate: float, seconds: float) -> list[int]:
     """Control periods nearest to the camera's images."""
     return [round(k / rate / CONTROL_S) for k in range(int(seconds * rate))]
 
 
-def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: Sequence[KnownGrasp], perceiver: Perceiver) -> Run:
+def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource, perceiver: Perceiver) -> Run:
     """Simulate one trial from start to 1.6 s after the lift, or until it gives up."""
     run = Run(plan)
     config = scenario.pipeline
@@ -111,7 +105,7 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: Sequence[Kno
     frames = set(frame_ticks(scenario.camera.rate, scenario.max_seconds + FINISH_S + 1))
     usable: Usable | None = None
     due: int | None = None
-    reachable: dict[int, bool] = {}
+    reachable = _Reachable(world)
     fingers = OPEN.copy()
     finisher: Finisher | None = None
     n_frame = 0
@@ -122,7 +116,8 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: Sequence[Kno
             if generator(plan.seed, f"drop/{plan.index}", n_frame).random() < scenario.camera.drop:
                 run.dropped.append(tick)
             else:
-                sight = perceiver.see(n_frame, t_ns, world).T_base_object
+                seen = perceiver.see(n_frame, t_ns, world)
+                sight = seen.T_base_object
                 estimate = velocity_filter.step(t_ns, None if sight is None else sight[:3, 3])
                 velocity = None if estimate is None else estimate.velocity + np.array(faults.velocity_bias)
                 T = sight
@@ -131,7 +126,8 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: Sequence[Kno
                     T[:3, 3] += velocity * (tick - run.frames[-1].tick) * CONTROL_S
                 run.frames.append(FrameBelief(n_frame, tick, sight is not None, T, velocity))
                 if T is not None and velocity is not None:
-                    arriving.step(t_ns, Usable(tick * CONTROL_S, T, velocity))
+                    proposals = grasps.propose(n_frame, seen, T, world.T_base_hand() @ T_hand_camera)
+                    arriving.step(t_ns, Usable(tick * CONTROL_S, T, velocity, proposals))
             n_frame += 1
         newest = arriving.at(t_ns)
         usable = newest[1] if newest else None
@@ -148,28 +144,30 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: Sequence[Kno
                 return run
             continue
         palm = world.T_base_palm()
-        twist, score, fire, chosen, T_object, T_grasp = np.zeros(6), None, False, None, None, None
+        twist, score, fire, T_object, T_grasp, preshape = np.zeros(6), None, False, None, None, None
         velocity_now = np.zeros(3)
         if usable is not None:
             T_object = usable.T_base_object.copy()
             velocity_now = usable.velocity
             # the controller knows its stated latency and makes up for it; it doesn't know of a fault
             T_object[:3, 3] += velocity_now * (tick * CONTROL_S - usable.t - faults.latency)
-            chosen = _choose(grasps, T_object, palm, config.selection, world, reachable)
-            if chosen is not None:
-                T_grasp = T_object @ grasps[chosen].T_object_palm @ increment(np.array(faults.grasp_offset))
+            proposals = usable.proposals
+            chosen = None if proposals is None else reachable.best(proposals, T_object, palm, config.selection)
+            if proposals is not None and chosen is not None:
+                T_grasp = T_object @ proposals.T_object_palm[chosen] @ increment(np.array(faults.grasp_offset))
                 command = servo.step(t_ns, palm, T_grasp, world.T_base_hand() @ T_hand_camera, T_object[:3, 3], velocity_now)
                 demanded = command.twist.copy()
                 demanded[2] += faults.descent * config.servo.c_p_v * (T_grasp[2, 3] - palm[2, 3])
                 twist = demanded * min(1.0, float((MAX_TWIST / (np.abs(demanded) + 1e-12)).min()))
                 early = max(0.0, -faults.close_shift)
                 nearer = _ahead(palm, T_grasp, early * config.servo.c_p_v)
-                score = analytic_score(nearer, T_grasp, grasps[chosen].quality, faults.evaluator_bias, scenario.evaluator)
+                score = grasps.score(proposals, chosen, T_object, nearer, T_grasp) + faults.evaluator_bias
+                score = float(np.clip(score, 0.0, 1.0))
                 fire = bool(execute(score, config.execution))
-                run.preshape = grasps[chosen].preshape
+                run.preshape = preshape = proposals.preshapes[chosen]
         distance = world.hand_distance(NEAR) if tick % TRUTH_STEP == 0 else None
         run.ticks.append(
-            Tick(snapshot, T_object, T_grasp, chosen, velocity_now, twist, score, fire, contact, foreign, distance)
+            Tick(snapshot, T_object, T_grasp, preshape, velocity_now, twist, score, fire, contact, foreign, distance)
         )
         if fire and due is None:
             due = tick + round((max(0.0, faults.close_shift) + plan.close_jitter) / CONTROL_S)
@@ -195,28 +193,22 @@ def _ahead(palm: Array, T_grasp: Array, share: float) -> Array:
     return T
 
 
-def _choose(
-    grasps: Sequence[KnownGrasp],
-    T_object: Array,
-    palm: Array,
-    config: object,
-    world: World,
-    reachable: dict[int, bool],
-) -> int | None:
-    """Index of the grasp with the best dynamic metric that the arm can reach; unreachable ones are left out for good."""
-    candidates = {k: Grasp(T_object @ g.T_object_palm, 0.5 + 0.5 * g.quality) for k, g in enumerate(grasps)}
-    for k, ok in reachable.items():
-        if not ok:
-            candidates.pop(k, None)
-    while candidates:
-        best = select(list(candidates.values()), palm, config)  # type: ignore[arg-type]
-        if best is None:
-            return None
-        k = next(i for i, g in candidates.items() if g is best[0])
-        if k not in reachable:
-            _, residual = world.kinematics.solve(best[0].T_base_palm, world.q_set, 100)
-            reachable[k] = residual < 1e-3
-        if reachable[k]:
-            return k
-        candidates.pop(k)
-    return None
+class _Reachable:
+    """The best candidate by the dynamic metric that the arm can reach; of one set, unreachable ones are left out for good."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._of: Proposals | None = None
+        self._known: dict[int, bool] = {}
+
+    def best(self, proposals: Proposals, T_base_object: Array, palm: Array, config: SelectionConfig) -> int | None:
+        if proposals is not self._of:
+            self._of, self._known = proposals, {}
+        poses = T_base_object @ proposals.T_object_palm
+        for k in by_metric(grasp_metric(poses, proposals.scores, palm, config))[:MOST_TRIED].tolist():
+            if k not in self._known:
+                _, residual = self._world.kinematics.solve(poses[k], self._world.q_set, 100, enough=REACHED)
+                self._known[k] = residual < REACHED
+            if self._known[k]:
+                return int(k)
+        return None

@@ -24,9 +24,11 @@ from dgeval.physics.closing import (
 )  # fmt: skip
 from dgeval.physics.hand import ACTUATED, FINGERS, JOINT_NAMES, T_hand_palm
 from dgeval.physics.objects import ObjectModel
+from dgeval.physics.presenter import GRIP, Presenter
 from dgeval.physics.scene import Camera, build, least_distance, pose_of
 
 HOLD_S = 1.6  # recorded after the lift
+GRIPPED_N, RELEASE_S = 0.3, 0.1  # two fingers pressing this hard for so long, and the presenter lets go
 SUCCESS_HOLD_S = 1.0  # after the lift ends (SIMULATION section 5)
 FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + HOLD_S
 
@@ -43,9 +45,11 @@ class Snapshot:
 class World:
     """One compiled world and its state. Times are physics steps from 0; base frame = arm's base."""
 
-    def __init__(self, thing: ObjectModel, belt_speed: float, cameras: tuple[Camera, ...] = ()) -> None:
-        self.thing = thing
-        self.model = build(thing, belt_speed, "arm", cameras)
+    def __init__(
+        self, thing: ObjectModel, belt_speed: float, cameras: tuple[Camera, ...] = (), presenter: Presenter | None = None
+    ) -> None:
+        self.thing, self.presenter = thing, presenter
+        self.model = build(thing, belt_speed, "arm", cameras, presenter is not None)
         self.data = mujoco.MjData(self.model)
         self.kinematics = ArmKinematics()
         m = self.model
@@ -69,7 +73,7 @@ class World:
         self.rest = thing.rest_height()
 
     def start(self, q_arm: Array, preshape: Array, x: float, y: float, yaw: float, object_velocity: float) -> None:
-        """Arm and fingers at rest, the object standing on the belt and moving with it."""
+        """Arm and fingers at rest, the object standing on the belt and moving with it, or in the presenter's hand."""
         d = self.data
         mujoco.mj_resetData(self.model, d)
         d.qpos[self.arm] = self.q_set = q_arm.copy()
@@ -77,6 +81,9 @@ class World:
         d.qpos[self.fingers] = np.concatenate([fingers, fingers[:, 2:]], axis=1).ravel()
         d.qpos[self.object : self.object + 7] = [x, y, self.rest, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         d.qvel[self.object_dof + 1] = object_velocity
+        if self.presenter is not None:
+            present(self.presenter, d)
+            d.qpos[self.object : self.object + 7] = np.concatenate([d.mocap_pos[0], d.mocap_quat[0]])
         self.command(np.zeros(7), preshape)
         mujoco.mj_forward(self.model, d)
 
@@ -165,12 +172,22 @@ class World:
         return out
 
     def advance(self, steps: int = SUBSTEPS) -> None:
+        if self.presenter is not None:
+            present(self.presenter, self.data)
         mujoco.mj_step(self.model, self.data, steps)
+
+    @property
+    def held_by_presenter(self) -> bool:
+        return self.presenter is not None and bool(self.data.eq_active[self.model.equality(GRIP).id])
+
+    def hand_over(self) -> None:
+        """The presenter lets go."""
+        self.data.eq_active[self.model.equality(GRIP).id] = 0
 
     def in_hand(self) -> bool:
         """The object is off its support by MIN_LIFT, touches the hand and is where hands hold things."""
         T = self.T_base_object()
-        if T[2, 3] < self.rest + MIN_LIFT or not self.touching()[0]:
+        if T[2, 3] < self.rest + MIN_LIFT or not self.touching()[0] or self.held_by_presenter:
             return False
         centre = transform(self.T_base_hand(), GRASP_CENTRE[None])[0]
         return bool(np.linalg.norm(T[:3, 3] - centre) < MAX_FROM_HAND)
@@ -191,6 +208,9 @@ class Finisher:
         self.world, self.velocity, self.preshape = world, velocity, preshape
         self.ticks = 0
         self.height = 0.0
+        self._gripped_s = 0.0
+        if world.presenter is not None:
+            world.rest = float(world.data.qpos[world.object + 2])  # lifted means: above where it was presented
         self.result: Finish | None = None
 
     def step(self) -> None:
@@ -200,6 +220,12 @@ class Finisher:
         w.command(dq, finger_targets(since, self.preshape))
         w.advance()
         self.ticks += 1
+        if w.held_by_presenter:
+            # who hands something over lets go when it has been gripped for a moment, and holds on to it else
+            gripped = int((w.finger_forces() > GRIPPED_N).sum()) >= 2
+            self._gripped_s = self._gripped_s + CONTROL_S if gripped else 0.0
+            if self._gripped_s >= RELEASE_S:
+                w.hand_over()
         self.height = max(self.height, float(w.data.qpos[w.object + 2]) - w.rest)
         if self.result is None and self._decided():
             self.result = Finish(self._succeeded, self.height)
@@ -225,15 +251,27 @@ class Finisher:
         return self.result
 
 
-def twin_path(thing: ObjectModel, belt_speed: float, x: float, y: float, yaw: float, seconds: float) -> Array:
+def present(presenter: Presenter, data: mujoco.MjData) -> None:
+    """The presenter's hand to where it is at the data's time."""
+    data.mocap_pos[0], data.mocap_quat[0] = presenter.pose(float(data.time))
+
+
+def twin_path(
+    thing: ObjectModel, belt_speed: float, x: float, y: float, yaw: float, seconds: float, presenter: Presenter | None = None
+) -> Array:
     """The object without any robot: rows (pose 7, velocity 6) in MuJoCo's order, one per control period from t = 0."""
-    model = build(thing, belt_speed, "none")
+    model = build(thing, belt_speed, "none", presented=presenter is not None)
     data = mujoco.MjData(model)
     data.qpos[:7] = [x, y, thing.rest_height(), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
     data.qvel[1] = belt_speed
+    if presenter is not None:
+        present(presenter, data)
+        data.qpos[:7] = np.concatenate([data.mocap_pos[0], data.mocap_quat[0]])
     mujoco.mj_forward(model, data)
     rows = [np.concatenate([data.qpos[:7], data.qvel[:6]])]
     for _ in range(round(seconds / CONTROL_S)):
+        if presenter is not None:
+            present(presenter, data)
         mujoco.mj_step(model, data, SUBSTEPS)
         rows.append(np.concatenate([data.qpos[:7], data.qvel[:6]]))
     return np.array(rows)

@@ -1,42 +1,32 @@
-"""The dynamic grasp metric (paper equations 3 to 5, readings PAPERS A1 and A2) and the choice by it."""
+"""The dynamic grasp metric (paper equations 3 to 5, readings PAPERS A1 and A2) and the order of choice by it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from dgeval.config import SelectionConfig
-from dgeval.geometry import Array, rotation_angle, rotation_vector
+from dgeval.geometry import Array
 
 
-@dataclass(frozen=True, slots=True)
-class Grasp:
-    """A candidate: T_base_palm (4, 4) and its predicted success s_G, None where nobody scored it."""
+def grasp_metric(T_base_palm: Array, scores: Array, T_base_hand_palm: Array, config: SelectionConfig) -> Array:
+    """m_0 + m_1 (n,) of candidates for the robot's palm pose: score s_G less the weighted distance in position and rotation.
 
-    T_base_palm: Array
-    score: float | None
-
-
-def grasp_metric(grasp: Grasp, T_base_palm: Array, config: SelectionConfig) -> float:
-    """m_0 + m_1 of one grasp for the robot's palm pose: score less the weighted distance in position and rotation."""
-    d_t = float(np.linalg.norm(grasp.T_base_palm[:3, 3] - T_base_palm[:3, 3]))
+    T_base_palm (n, 4, 4) and scores (n,) of the candidates; T_base_hand_palm (4, 4): where the palm is now.
+    """
+    R, R_hand = T_base_palm[:, :3, :3], T_base_hand_palm[:3, :3]
+    d_t = np.linalg.norm(T_base_palm[:, :3, 3] - T_base_hand_palm[:3, 3], axis=1)
     if config.rotation_vector_difference:
-        d_r = float(np.linalg.norm(rotation_vector(grasp.T_base_palm[:3, :3]) - rotation_vector(T_base_palm[:3, :3])))
+        d_r = np.linalg.norm(Rotation.from_matrix(R).as_rotvec() - Rotation.from_matrix(R_hand).as_rotvec(), axis=1)
     else:
-        d_r = rotation_angle(T_base_palm[:3, :3].T @ grasp.T_base_palm[:3, :3])
-    score = grasp.score if grasp.score is not None else 0.0
+        d_r = Rotation.from_matrix(R_hand.T @ R).magnitude()
     if config.literal_eq5:
-        return config.c_m_s * score - config.c_m_t * d_t - config.c_m_r * d_r
-    return config.c_m_s * score - abs(config.c_m_t) * d_t - abs(config.c_m_r) * d_r
+        return np.asarray(config.c_m_s * scores - config.c_m_t * d_t - config.c_m_r * d_r)
+    return np.asarray(config.c_m_s * scores - abs(config.c_m_t) * d_t - abs(config.c_m_r) * d_r)
 
 
-def select(grasps: Sequence[Grasp], T_base_palm: Array, config: SelectionConfig) -> tuple[Grasp, float] | None:
-    """The grasp with the greatest metric, the first among equals; None of none. A NaN score never wins."""
-    best: tuple[Grasp, float] | None = None
-    for grasp in grasps:
-        value = grasp_metric(grasp, T_base_palm, config)
-        if value == value and (best is None or value > best[1]):
-            best = (grasp, value)
-    return best
+def by_metric(metric: Array) -> NDArray[np.intp]:
+    """Candidates from the greatest metric down, the first among equals; NaN are left out."""
+    order = np.argsort(-metric, kind="stable")
+    return np.asarray(order[np.isfinite(metric[order])])

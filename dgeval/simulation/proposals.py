@@ -1,0 +1,92 @@
+"""Where the closed loop's grasps come from: FFHNet on the model cloud, or known grasps with an analytic score."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from dgeval.geometry import Array, invert, rotation_angle
+from dgeval.simulation.grasps import KnownGrasp
+from dgeval.simulation.perception import Sight
+from dgeval.simulation.scenario import EvaluatorConfig
+from dgeval.stages.grasping import EncodedCloud, Networks, encode_cloud, evaluate, propose
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """Candidates that move with the object as the robot believes it: T_object_palm (n, 4, 4), preshapes (n, 15), scores (n,).
+
+    cloud: what they were drawn for, in axes view with T_view_object; None of known grasps.
+    """
+
+    T_object_palm: Array
+    preshapes: Array
+    scores: Array
+    cloud: EncodedCloud | None = None
+    T_view_object: Array | None = None
+
+
+class GraspSource(Protocol):
+    """Gives candidates for a frame, and says how good a palm pose is (GraspEval of the paper)."""
+
+    def propose(self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array) -> Proposals | None: ...
+
+    def score(
+        self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array
+    ) -> float: ...
+
+
+class KnownGrasps:
+    """Stand-in for FFHNet: grasps checked in physics; the score says how near the palm is to the one chosen."""
+
+    def __init__(self, grasps: Sequence[KnownGrasp], config: EvaluatorConfig) -> None:
+        self._config = config
+        self._quality = np.array([g.quality for g in grasps])
+        poses, preshapes = np.array([g.T_object_palm for g in grasps]), np.array([g.preshape for g in grasps])
+        self._proposals = Proposals(poses, preshapes, 0.5 + 0.5 * self._quality) if grasps else None
+
+    def propose(self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array) -> Proposals | None:  # noqa: ARG002
+        return self._proposals
+
+    def score(self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array) -> float:  # noqa: ARG002  the protocol's
+        return analytic_score(T_base_palm, T_base_grasp, float(self._quality[chosen]), self._config)
+
+
+def analytic_score(T_base_palm: Array, T_base_grasp: Array, quality: float, c: EvaluatorConfig) -> float:
+    """How near the palm is to a grasp that is known to hold, and how well that holds."""
+    d = float(np.linalg.norm(T_base_palm[:3, 3] - T_base_grasp[:3, 3]))
+    angle = rotation_angle(T_base_palm[:3, :3].T @ T_base_grasp[:3, :3])
+    return float((0.5 + 0.5 * quality) * np.exp(-0.5 * (d / c.position) ** 2 - 0.5 * (angle / np.radians(c.angle)) ** 2))
+
+
+class FFHNetGrasps:
+    """The paper's: candidates drawn anew for the model cloud of every accepted frame, poses judged by its evaluator."""
+
+    def __init__(self, networks: Networks, n: int, seed: int, index: int) -> None:
+        self._networks, self._n, self._seed, self._index = networks, n, seed, index
+        self._last: Proposals | None = None
+
+    def propose(self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array) -> Proposals | None:
+        if sight.cloud is None:
+            return self._last  # the model and its grasps as they were, moved along with the prediction
+        # the cloud's own place, the camera's axes
+        R_camera_base = T_base_camera[:3, :3].T
+        cloud = encode_cloud(sight.cloud @ R_camera_base.T, self._networks)
+        drawn = propose(cloud, self._networks, self._n, self._seed, self._index * 100_000 + frame)
+        T_view_object = np.eye(4)
+        T_view_object[:3, :3], T_view_object[:3, 3] = (
+            R_camera_base @ T_base_object[:3, :3],
+            R_camera_base @ T_base_object[:3, 3],
+        )
+        poses = invert(T_view_object) @ drawn.T_cloud_palm
+        self._last = Proposals(poses, drawn.joints, drawn.scores, cloud, T_view_object)
+        return self._last
+
+    def score(self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array) -> float:  # noqa: ARG002  the protocol's
+        assert proposals.cloud is not None
+        assert proposals.T_view_object is not None
+        T = proposals.T_view_object @ invert(T_base_object) @ T_base_palm
+        return float(evaluate(proposals.cloud, self._networks, T[None], proposals.preshapes[chosen][None])[0])

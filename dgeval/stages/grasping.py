@@ -1,0 +1,102 @@
+"""Grasps of the model cloud by FFHNet: candidates with their scores, and the score of any palm pose (GraspEval)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from dgeval.config import GraspsConfig
+from dgeval.determinism import generator
+from dgeval.errors import UsageError
+from dgeval.geometry import Array
+from dgeval.networks.bps import basis, encode
+from dgeval.networks.ffhnet import N_JOINTS, FFHEvaluator, FFHGenerator, Palms, load_evaluator, load_generator
+
+JOINT_LOW = np.tile([-0.261799, 0.0, 0.0], 5)  # rad, of the 15 joints (PAPERS 1.4)
+JOINT_HIGH = np.tile([0.261799, 1.48353, 1.13446], 5)
+
+
+@dataclass(frozen=True)
+class Networks:
+    """Generator and evaluator of the same basis."""
+
+    generator: FFHGenerator
+    evaluator: FFHEvaluator
+
+    @property
+    def n_bps(self) -> int:
+        return self.generator.dec_bn1.num_features
+
+
+@dataclass(frozen=True)
+class EncodedCloud:
+    """What the networks see of a cloud: bps (1, n) of it about its mean (3,) m, in the axes it was given in."""
+
+    bps: torch.Tensor
+    mean: Array
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Grasps in the frame of the cloud: T_cloud_palm (n, 4, 4), joints before closing (n, 15) rad, scores (n,) in 0..1."""
+
+    T_cloud_palm: Array
+    joints: Array
+    scores: Array
+
+
+def networks_of(config: GraspsConfig) -> Networks:
+    """The networks of a configuration, read once. UsageError where files are missing, broken or of different bases."""
+    return _load(config.generator, config.evaluator)
+
+
+@cache
+def _load(generator_file: str | None, evaluator_file: str | None) -> Networks:
+    shipped = Path(str(resources.files("dgeval.networks") / "weights"))
+    first = load_generator(Path(generator_file) if generator_file else shipped / "ffhnet_generator.safetensors")
+    second = load_evaluator(Path(evaluator_file) if evaluator_file else shipped / "ffhnet_evaluator.safetensors")
+    networks = Networks(first, second)
+    of_evaluator = second.bn1.num_features - 12 - (N_JOINTS if second.joints else 0)
+    if of_evaluator != networks.n_bps:
+        what = f"the generator takes {networks.n_bps} basis points, the evaluator {of_evaluator}"
+        raise UsageError(what, hint="give both of grasps.generator and grasps.evaluator")
+    return networks
+
+
+def encode_cloud(points: Array, networks: Networks) -> EncodedCloud:
+    """points (m, 3) m with the camera's axes."""
+    mean = points.mean(axis=0)
+    return EncodedCloud(torch.from_numpy(encode(points - mean, basis(networks.n_bps)))[None], mean)
+
+
+def within_limits(joints: Array) -> Array:
+    """Joint positions (n, 15) rad, those beyond a joint's range at its end."""
+    return np.clip(joints, JOINT_LOW, JOINT_HIGH)
+
+
+def propose(cloud: EncodedCloud, networks: Networks, n: int, seed: int, frame: int) -> Candidates:
+    """n grasps drawn for a cloud, the same for the same seed and frame, scored; joints within the hand's limits."""
+    draws = torch.Generator().manual_seed(int(generator(seed, "grasps", frame).integers(2**63)))
+    with torch.inference_mode():
+        palms = networks.generator.generate(cloud.bps, n, draws)
+        joints = within_limits(palms.joints.double().numpy())
+        palms = Palms(palms.rotation, palms.translation, torch.from_numpy(joints.astype(np.float32)))
+        scores = networks.evaluator(cloud.bps, palms)
+    T = np.tile(np.eye(4), (n, 1, 1))
+    T[:, :3, :3] = palms.rotation.double().numpy()
+    T[:, :3, 3] = palms.translation.double().numpy() + cloud.mean
+    return Candidates(T, joints, scores.double().numpy())
+
+
+def evaluate(cloud: EncodedCloud, networks: Networks, T_cloud_palm: Array, joints: Array) -> Array:
+    """Scores (n,) of palm poses (n, 4, 4) in the cloud's frame; joints (n, 15) matter to an evaluator with fingers only."""
+    R = torch.from_numpy(T_cloud_palm[:, :3, :3].astype(np.float32))
+    t = torch.from_numpy((T_cloud_palm[:, :3, 3] - cloud.mean).astype(np.float32))
+    with torch.inference_mode():
+        scores = networks.evaluator(cloud.bps, Palms(R, t, torch.from_numpy(joints.astype(np.float32))))
+    return np.asarray(scores.double().numpy())

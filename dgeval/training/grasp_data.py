@@ -1,0 +1,174 @@
+"""Five-finger grasps of procedural objects, tried in physics: what FFHNet learns from.
+
+An object stands on a table; the hand flies to a pose, closes, lifts, and is shaken. Poses come from a random sampler
+(SIMULATION section 6a) and from perturbing those that held; poses in which the open hand overlaps the object are kept as
+failures without a try.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from dgeval import __version__
+from dgeval.determinism import generator, limit_threads, set_thread_variables
+from dgeval.geometry import Array, increment, invert
+from dgeval.networks.ffhnet import FFHGenerator, load_generator
+from dgeval.physics.hand import T_hand_palm
+from dgeval.physics.objects import ObjectModel, at, procedural_object
+from dgeval.recording.containers import sha256_of
+from dgeval.simulation.grasps import FlyingHand, candidate
+from dgeval.stages.grasping import within_limits
+from dgeval.training.views import views_of
+
+VERSION = 1  # of what is drawn below: files of another one are made again
+NOISE_SCALES = ((0.003, np.radians(3)), (0.008, np.radians(8)), (0.016, np.radians(16)))  # m, rad; perturbed positives
+OVERLAP = 0.002  # m; hand and object deeper in each other than this: no pose a robot could be in
+LIGHT_TOUCH = 0.004  # m; proposals may touch by so much, as hands do that arrive
+PROPOSED_VIEWS = 8
+MOST_DRAWN = 15_000  # candidates per object
+
+
+@dataclass(frozen=True)
+class GraspData:
+    """Tried grasps of one object: T_object_palm (n, 4, 4), joints (n, 15) rad before closing, held (n,), overlapping (n,)."""
+
+    T_object_palm: Array
+    joints: Array
+    held: NDArray[np.bool_]
+    overlapping: NDArray[np.bool_]
+
+
+def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
+    """About `tried` grasps simulated, a third of them drawn at random and the others round those that held."""
+    world = FlyingHand(thing)
+    T_object_base = invert(at(0.5, 0.0, thing.rest_height()))
+    rows: list[tuple[Array, Array, bool, bool]] = []
+
+    def attempt(T: Array, preshape: Array) -> bool:
+        world.put(T, preshape)
+        held = world.lifts(preshape, shake=True)
+        rows.append((T, preshape, held, False))
+        return held
+
+    good: list[tuple[Array, Array]] = []
+    overlaps = 0
+    for k in range(MOST_DRAWN):
+        if len(rows) - overlaps >= tried // 3:
+            break
+        T, preshape = candidate(generator(seed, f"grasps/{thing.name}", k), thing)
+        world.put(T, preshape)
+        if world.touches():
+            if overlaps < tried // 4 and world.overlap() > OVERLAP:
+                rows.append((T, preshape, False, True))
+                overlaps += 1
+            continue
+        if attempt(T, preshape):
+            good.append((T, preshape))
+    k = 0
+    while good and len(rows) - overlaps < tried and k < 20 * tried:
+        rng = generator(seed, f"perturbed/{thing.name}", k)
+        T, preshape = good[int(rng.integers(len(good)))]
+        metres, radians = NOISE_SCALES[k % len(NOISE_SCALES)]
+        T = T @ increment(np.concatenate([rng.normal(0, metres, 3), rng.normal(0, radians, 3)]))
+        k += 1
+        world.put(T, preshape)
+        if world.touches():
+            if overlaps < tried // 2 and world.overlap() > OVERLAP:
+                rows.append((T, preshape, False, True))
+                overlaps += 1
+        elif attempt(T, preshape):
+            good.append((T, preshape))
+    return GraspData(
+        np.array([T_object_base @ T @ T_hand_palm for T, _, _, _ in rows]),
+        np.array([p for _, p, _, _ in rows]),
+        np.array([h for _, _, h, _ in rows]),
+        np.array([o for _, _, _, o in rows]),
+    )
+
+
+def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: int) -> GraspData:
+    """What a generator proposes for views of an object, tried: what its evaluator will have to tell apart.
+
+    A light touch of object or table pushes as it would in an approach; only deeper overlaps are failures without a try.
+    """
+    world = FlyingHand(thing)
+    T_base_object = at(0.5, 0.0, thing.rest_height())
+    views = views_of(thing, PROPOSED_VIEWS, network.dec_bn1.num_features, seed + 1)
+    poses, joints, held, overlapping = [], [], [], []
+    for k, view in enumerate(views):
+        draws = torch.Generator().manual_seed(int(generator(seed, f"proposed/{thing.name}", k).integers(2**63)))
+        palms = network.generate(torch.from_numpy(view.bps)[None], -(-tried // PROPOSED_VIEWS), draws)
+        T_view_palm = np.tile(np.eye(4), (len(palms.joints), 1, 1))
+        T_view_palm[:, :3, :3], T_view_palm[:, :3, 3] = palms.rotation.numpy(), palms.translation.numpy()
+        for T, q in zip(
+            invert(view.T_view_object) @ T_view_palm, within_limits(palms.joints.numpy().astype(float)), strict=True
+        ):
+            world.put(T_base_object @ T @ invert(T_hand_palm), q)
+            deep = world.overlap(anything=True) > LIGHT_TOUCH
+            poses.append(T)
+            joints.append(q)
+            overlapping.append(deep)
+            held.append(not deep and world.lifts(q, shake=True))
+    return GraspData(np.array(poses), np.array(joints), np.array(held), np.array(overlapping))
+
+
+def write_grasps(out: Path, index: int, seed: int, tried: int, weights: Path | None = None) -> Path:
+    """Grasps of procedural object `index` as OUT/<object>.npz; a finished file of the same settings is kept.
+
+    weights: of a generator whose proposals are tried in place of sampled grasps.
+    """
+    limit_threads()
+    thing = procedural_object(index, seed)
+    path = out / f"{thing.name}.npz"
+    about = f"dgeval {__version__} grasps {VERSION} mujoco {mujoco.__version__} seed {seed} tried {tried}"
+    if weights is not None:
+        about += f" proposed by {sha256_of(weights)}"
+    if path.is_file() and str(np.load(path)["about"]) == about:
+        return path
+    data = make_grasps(thing, seed, tried) if weights is None else try_proposed(thing, load_generator(weights), seed, tried)
+    part = path.with_suffix(".part.npz")
+    np.savez_compressed(
+        part,
+        about=about,
+        T_object_palm=data.T_object_palm.astype(np.float32),
+        joints=data.joints.astype(np.float32),
+        held=data.held,
+        overlapping=data.overlapping,
+    )
+    part.rename(path)
+    return path
+
+
+def read_grasps(path: Path) -> GraspData:
+    """A file of `write_grasps`."""
+    with np.load(path) as file:
+        poses, joints = file["T_object_palm"].astype(np.float64), file["joints"].astype(np.float64)
+        return GraspData(poses, joints, file["held"], file["overlapping"])
+
+
+def write_all(
+    out: Path, objects: int, seed: int, tried: int, jobs: int, progress: Callable[[Path], None], weights: Path | None = None
+) -> list[Path]:
+    """Grasps of procedural objects 0 … objects - 1, as `write_grasps` makes them; the same for any number of jobs."""
+    out.mkdir(parents=True, exist_ok=True)
+    if jobs == 1:
+        paths = []
+        for index in range(objects):
+            paths.append(write_grasps(out, index, seed, tried, weights))
+            progress(paths[-1])
+        return paths
+    set_thread_variables()
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        waiting = [pool.submit(write_grasps, out, index, seed, tried, weights) for index in range(objects)]
+        for future in waiting:
+            progress(future.result())
+        return [future.result() for future in waiting]

@@ -1,0 +1,93 @@
+"""From grasp data to files of weights: trains the three networks, calibrates, measures on held-out objects, exports."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors.torch import save_file
+from torch import nn
+
+from dgeval.determinism import generator, limit_threads
+from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator
+from dgeval.training.ffhnet import Kind, ObjectData, Settings, calibrate, load_objects, train, tried
+from dgeval.training.grasp_data import write_all
+
+BINS = 10
+
+
+def train_all(
+    out: Path,
+    objects: int,
+    settings: Settings,
+    proposals: int,
+    jobs: int,
+    progress: Callable[[str, int, dict[str, float]], None],
+) -> dict[str, Any]:
+    """Train on OUT/grasps; write OUT/ffhnet_*.safetensors and OUT/metrics.json. progress(network, step, loss terms).
+
+    proposals: of the generator, tried in physics per object for the evaluators.
+    """
+    limit_threads()
+
+    def trained(kind: Kind, data: list[ObjectData]) -> FFHGenerator | FFHEvaluator:
+        learning = data[: -settings.held_out]
+        return train(kind, learning, settings, out / f"{kind}.ckpt", lambda step, terms: progress(kind, step, terms))
+
+    generator_file = out / "ffhnet_generator.safetensors"
+    export(trained("generator", load_objects(out / "grasps", settings, objects, settings.seed)), generator_file)
+    # the evaluators also learn from what this generator proposes: its mistakes are those that they will have to see
+    write_all(out / "proposed", objects, settings.seed, proposals, jobs, lambda _: None, generator_file)
+    data = load_objects(out / "grasps", settings, objects, settings.seed, out / "proposed")
+    learning, held_out = data[: -settings.held_out], data[-settings.held_out :]
+    metrics: dict[str, Any] = {"settings": asdict(settings), "data": _about(learning, held_out), "held_out": {}}
+    kinds: tuple[Kind, ...] = ("evaluator", "evaluator_fingers")
+    for kind in kinds:
+        network = trained(kind, data)
+        assert isinstance(network, FFHEvaluator)
+        # one half of the held-out objects calibrates, the other measures
+        factor, offset = calibrate(network, held_out[::2], settings.seed)
+        found = measure(network, held_out[1::2], settings.seed)
+        metrics["held_out"][kind] = {**found, "platt_factor": factor, "platt_offset": offset}
+        export(network, out / f"ffhnet_{kind}.safetensors")
+    (out / "metrics.json").write_text(json.dumps(metrics, indent=1), encoding="utf-8")
+    return metrics
+
+
+def export(network: nn.Module, path: Path) -> None:
+    """Matrices in half precision, which halves the file; norms and offsets as they are."""
+    state = {k: v.half() if v.ndim > 1 else v for k, v in network.state_dict().items()}
+    save_file({k: v.contiguous() for k, v in state.items()}, path)
+
+
+def measure(network: FFHEvaluator, objects: list[ObjectData], seed: int) -> dict[str, float]:
+    """On grasps that were tried: area under the ROC curve, Brier score, expected calibration error, share that held."""
+    bps, palms, held = tried(objects, 400, generator(seed, "measure", 0))
+    with torch.no_grad():
+        p = network(bps, palms).numpy().astype(float)
+    return scores_of(p, held.numpy() > 0.5)
+
+
+def scores_of(p: np.ndarray[Any, Any], held: np.ndarray[Any, Any]) -> dict[str, float]:
+    """p (n,) predicted, held (n,) bool."""
+    from scipy.stats import rankdata
+
+    ranks = rankdata(p)
+    n, m = int(held.sum()), int((~held).sum())
+    auc = (ranks[held].sum() - n * (n + 1) / 2) / max(n * m, 1)
+    cell = np.minimum((p * BINS).astype(int), BINS - 1)
+    gaps = [abs(p[cell == b].mean() - held[cell == b].mean()) * (cell == b).mean() for b in range(BINS) if (cell == b).any()]
+    return {"auc": float(auc), "brier": float(np.mean((p - held) ** 2)), "ece": float(sum(gaps)), "held": float(held.mean())}
+
+
+def _about(learning: list[ObjectData], held_out: list[ObjectData]) -> dict[str, Any]:
+    return {
+        name: {kind: sum(len(o.rows[kind]) for o in objects) for kind in ("held", "failed", "overlapping")}
+        | {"objects": [o.name for o in objects]}
+        for name, objects in (("training", learning), ("held_out", held_out))
+    }

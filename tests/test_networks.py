@@ -1,0 +1,306 @@
+"""Catches: a part in the wrong order, a slope or norm forgotten, a checkpoint that runs code, a grasp in the wrong frame."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from dgeval.config import GraspsConfig
+from dgeval.errors import UsageError
+from dgeval.geometry import Array
+from dgeval.networks.bps import basis, encode
+from dgeval.networks.checkpoints import read_weights
+from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_evaluator, load_generator, matrix_from_6d
+from dgeval.physics.arm import LOWER, UPPER, ArmKinematics
+from dgeval.physics.urdf import robot_urdf
+from dgeval.recording.description import load_description
+from dgeval.simulation.perception import T_hand_camera
+from dgeval.stages.grasping import encode_cloud, evaluate, networks_of, propose
+from dgeval.stages.reachability import arm_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor, nn
+
+SIZE = (64, 24, 16)  # basis points, width, hidden: small, and all different
+
+
+def filled(network: nn.Module, scale: float = 0.3) -> Any:
+    """Weights that depend on name and shape alone."""
+    for name, tensor in network.state_dict().items():
+        if tensor.dtype.is_floating_point:
+            rng = np.random.default_rng(int(hashlib.sha256(name.encode()).hexdigest()[:8], 16))
+            value = rng.normal(0, scale, tensor.shape)
+            tensor.copy_(torch.from_numpy(np.abs(value) + 0.5 if name.endswith("running_var") else value))
+    return network.eval()
+
+
+def some(n: int, n_bps: int) -> tuple[Tensor, Palms]:
+    torch.manual_seed(3)
+    return torch.rand(1, n_bps) * 0.3, Palms(matrix_from_6d(torch.randn(n, 6)), 0.1 * torch.randn(n, 3), torch.rand(n, 15))
+
+
+# clouds
+
+
+def test_basis_is_the_published_one() -> None:
+    digest = hashlib.sha256(basis(4096, 0.2).tobytes()).hexdigest()
+    assert digest == "d1e7f6d38deb013a1521a526aa846e9666e95cbff00158edc4dab337c8d334ef"
+
+
+def test_encoding_is_the_distance_to_the_nearest_point() -> None:
+    rng = np.random.default_rng(0)
+    cloud = rng.normal(0, 0.05, (300, 3))
+    exact = np.linalg.norm(basis(200)[:, None].astype(float) - cloud[None], axis=2).min(axis=1)
+    np.testing.assert_allclose(encode(cloud, basis(200)), exact, atol=1e-7)
+    with pytest.raises(ValueError, match="empty"):
+        encode(np.empty((0, 3)), basis(200))
+
+
+@pytest.mark.parametrize("name", ["cheez_it", "mustard_bottle", "soft_scrub"])
+def test_encodings_of_real_clouds_are_the_authors(name: str, real_data: Path) -> None:
+    with np.load(real_data / "ffhnet_clouds" / f"{name}.npz") as file:
+        np.testing.assert_allclose(encode(file["points"], basis()), file["bps"].ravel(), atol=1e-6)
+
+
+# networks against a second writing of them, in numpy from the published description
+
+
+def leaky(x: Array) -> Array:
+    return np.where(x > 0, x, 0.2 * x)
+
+
+class Reference:
+    """State dict applied by hand, in double precision."""
+
+    def __init__(self, network: nn.Module) -> None:
+        self.w = {k: v.numpy().astype(float) for k, v in network.state_dict().items()}
+
+    def linear(self, name: str, x: Array) -> Array:
+        return np.asarray(x @ self.w[f"{name}.weight"].T + self.w[f"{name}.bias"])
+
+    def norm(self, name: str, x: Array) -> Array:
+        mean, var = self.w[f"{name}.running_mean"], self.w[f"{name}.running_var"]
+        return np.asarray((x - mean) / np.sqrt(var + 1e-5) * self.w[f"{name}.weight"] + self.w[f"{name}.bias"])
+
+    def block(self, name: str, x: Array) -> Array:
+        skip = leaky(self.linear(f"{name}.fc3", x))
+        main = self.norm(
+            f"{name}.bn2", self.linear(f"{name}.fc2", leaky(self.norm(f"{name}.bn1", self.linear(f"{name}.fc1", x))))
+        )
+        return leaky(skip + main)
+
+
+def test_generator_is_as_described() -> None:
+    network = filled(FFHGenerator(*SIZE))
+    bps, palms = some(7, SIZE[0])
+    ref = Reference(network)
+    whole = np.tile(bps.numpy().astype(float), (7, 1))
+    x = ref.norm(
+        "enc_bn1", np.concatenate([whole, palms.rotation.numpy().reshape(7, 9), palms.translation, palms.joints], axis=1)
+    )
+    code = ref.block("enc_rb2", np.concatenate([x, ref.block("enc_rb1", x)], axis=1))
+    z = torch.randn(7, 5)
+    x0 = np.concatenate([z.numpy(), ref.norm("dec_bn1", whole)], axis=1)
+    out = ref.block("dec_rb2", np.concatenate([x0, ref.block("dec_rb1", x0)], axis=1))
+    with torch.no_grad():
+        for given_bps in (bps, bps.expand(7, -1)):  # the cloud's share multiplied once, or for every candidate
+            mu, logvar = network.encode(given_bps, palms)
+            np.testing.assert_allclose(mu, ref.linear("enc_mu", code), atol=1e-5)
+            np.testing.assert_allclose(logvar, ref.linear("enc_logvar", code), atol=1e-5)
+            made = network.decode(z, given_bps)
+            np.testing.assert_allclose(made.translation, ref.linear("dec_transl", out), atol=1e-5)
+            np.testing.assert_allclose(made.joints, ref.linear("dec_joint_conf", out), atol=1e-5)
+    six = ref.linear("dec_rot", out)
+    a = six[:, :3] / np.linalg.norm(six[:, :3], axis=1, keepdims=True)
+    c = np.cross(a, six[:, 3:])
+    c /= np.linalg.norm(c, axis=1, keepdims=True)
+    np.testing.assert_allclose(made.rotation, np.stack([a, np.cross(c, a), c], axis=2), atol=1e-5)
+
+
+@pytest.mark.parametrize("joints", [False, True])
+def test_evaluator_is_as_described(joints: bool) -> None:
+    network = filled(FFHEvaluator(*SIZE, joints=joints), 0.2)
+    bps, palms = some(7, SIZE[0])
+    ref = Reference(network)
+    parts = [np.tile(bps.numpy().astype(float), (7, 1)), palms.rotation.numpy().reshape(7, 9), palms.translation.numpy()]
+    x = ref.norm("bn1", np.concatenate([*parts, palms.joints.numpy()] if joints else parts, axis=1))
+    out = ref.block("rb1", x)
+    for name in ("rb2", "rb3"):  # what came before stands first here, last in the generator
+        out = ref.block(name, np.concatenate([out, x], axis=1))
+    expected = 1 / (1 + np.exp(-ref.linear("out_success", out)[:, 0]))
+    with torch.no_grad():
+        for given_bps in (bps, bps.expand(7, -1)):
+            np.testing.assert_allclose(network(given_bps, palms), expected, atol=1e-5)
+        other = network(bps, Palms(palms.rotation, palms.translation, palms.joints + 0.3))
+    assert bool(np.abs(other.numpy() - expected).max() > 1e-3) == joints  # the published one is blind to the fingers
+
+
+def test_published_sizes() -> None:
+    generator, evaluator = FFHGenerator(), FFHEvaluator()
+    assert sum(p.numel() for p in generator.parameters()) == 13_987_928
+    assert sum(p.numel() for p in evaluator.parameters()) == 10_661_657
+    shapes = {k: tuple(v.shape) for k, v in generator.state_dict().items()}
+    assert shapes["enc_rb2.fc3.weight"] == (512, 4635)
+    assert shapes["dec_rb1.fc1.weight"] == (256, 4101)
+    assert {k: tuple(v.shape) for k, v in evaluator.state_dict().items()}["rb3.fc1.weight"] == (256, 4620)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(-3, 3), min_size=6, max_size=6))
+def test_six_numbers_make_a_rotation(six: list[float]) -> None:
+    a, b = np.array(six[:3]), np.array(six[3:])
+    if np.linalg.norm(np.cross(a, b)) < 1e-2 * max(np.linalg.norm(a), np.linalg.norm(b), 1):
+        return
+    R = matrix_from_6d(torch.tensor([six], dtype=torch.float64))[0].numpy()
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-9)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    np.testing.assert_allclose(R[:, 0], a / np.linalg.norm(a), atol=1e-9)
+
+
+# checkpoints
+
+
+class Runs:
+    """Pickles as a call of os.system."""
+
+    def __reduce__(self) -> Any:
+        return os.system, ("echo a checkpoint ran this",)
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_the_authors_containers_load(tmp_path: Path, legacy: bool) -> None:
+    network = filled(FFHGenerator(*SIZE))
+    optimiser = torch.optim.Adam(network.parameters())
+    plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(optimiser)
+    whole = {
+        "epoch": 10,
+        "ffhgenerator_state_dict": {f"module.{k}": v for k, v in network.state_dict().items()},
+        "optim_ffhgenerator_state_dict": optimiser.state_dict(),
+        "scheduler_ffhgenerator_state_dict": plateau.__dict__ | {"optimizer": None},
+    }
+    path = tmp_path / "10_gen_net.pt"
+    torch.save(whole, path, _use_new_zipfile_serialization=not legacy)
+    loaded = load_generator(path)
+    z, (bps, _) = torch.randn(4, 5), some(1, SIZE[0])
+    with torch.no_grad():
+        np.testing.assert_allclose(loaded.decode(z, bps).joints, network.decode(z, bps).joints, atol=1e-6)
+
+    path.write_bytes(path.read_bytes()[:-3000])
+    with pytest.raises(UsageError, match=r"can't be read|safe to read"):
+        load_generator(path)
+    with pytest.raises(UsageError, match="no such file"):
+        load_generator(tmp_path / "none.pt")
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_a_checkpoint_runs_nothing(tmp_path: Path, legacy: bool, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bad.pt"
+    torch.save(
+        {"ffhevaluator_state_dict": {"bn1.weight": torch.ones(3)}, "more": Runs()},
+        path,
+        _use_new_zipfile_serialization=not legacy,
+    )
+    with pytest.raises(UsageError, match="system is refused"):
+        read_weights(path, "ffhevaluator_state_dict")
+    assert "ran this" not in capfd.readouterr().out
+    (tmp_path / "plain.pt").write_bytes(pickle.dumps(Runs()))
+    with pytest.raises(UsageError):
+        read_weights(tmp_path / "plain.pt")
+
+
+def test_wrong_weights_are_named(tmp_path: Path) -> None:
+    weights = filled(FFHEvaluator(*SIZE)).state_dict()
+    for change, match in (
+        ({"rb2.fc1.weight": None}, "rb2.fc1.weight is missing"),
+        ({"rb2.fc1.weight": torch.ones(2, 2)}, "rb2.fc1.weight has shape"),
+        ({"rb9.fc1.weight": torch.ones(2)}, "rb9.fc1.weight is not a part"),
+        ({"bn1.weight": None}, "bn1.weight is missing"),
+    ):
+        state = {k: v for k, v in {**weights, **change}.items() if v is not None}
+        torch.save({"ffhevaluator_state_dict": state}, tmp_path / "a.pt")
+        with pytest.raises(UsageError, match=match):
+            load_evaluator(tmp_path / "a.pt")
+    torch.save({"other": 1}, tmp_path / "b.pt")
+    with pytest.raises(UsageError, match="there is: other"):
+        load_evaluator(tmp_path / "b.pt")
+    small = tmp_path / "small_eva_net.pt"
+    torch.save({"ffhevaluator_state_dict": weights}, small)
+    with pytest.raises(UsageError, match="basis points"):
+        networks_of(GraspsConfig(evaluator=str(small)))
+
+
+# the stage
+
+
+def half_shell(seed: int = 0) -> Array:
+    """The upper half of an upright cylinder 7 cm across and 12 cm tall, as a camera 0.4 m over it sees it."""
+    rng = np.random.default_rng(seed)
+    angle, height = rng.uniform(0, 2 * np.pi, 1500), rng.uniform(0.0, 0.12, 1500)
+    side = np.stack([0.035 * np.cos(angle), 0.035 * np.sin(angle), 0.4 + height], axis=1)
+    r, turn = 0.035 * np.sqrt(rng.uniform(0, 1, 700)), rng.uniform(0, 2 * np.pi, 700)
+    return np.concatenate([side[:800], np.stack([r * np.cos(turn), r * np.sin(turn), np.full(700, 0.4)], axis=1)])
+
+
+def test_grasps_go_along_with_the_cloud_and_repeat() -> None:
+    networks = networks_of(GraspsConfig())
+    cloud = half_shell()
+    here = propose(encode_cloud(cloud, networks), networks, 64, 0, 5)
+    again = propose(encode_cloud(cloud, networks), networks, 64, 0, 5)
+    np.testing.assert_array_equal(here.T_cloud_palm, again.T_cloud_palm)
+    assert np.abs(propose(encode_cloud(cloud, networks), networks, 64, 0, 6).T_cloud_palm - here.T_cloud_palm).max() > 1e-3
+    step = np.array([0.1, -0.05, 0.2])
+    there = propose(encode_cloud(cloud + step, networks), networks, 64, 0, 5)
+    np.testing.assert_allclose(there.T_cloud_palm[:, :3, 3], here.T_cloud_palm[:, :3, 3] + step, atol=1e-5)
+    np.testing.assert_allclose(there.scores, here.scores, atol=1e-4)
+    # the score of a candidate's own pose is the candidate's score
+    encoded = encode_cloud(cloud, networks)
+    np.testing.assert_allclose(evaluate(encoded, networks, here.T_cloud_palm, here.joints), here.scores, atol=1e-5)
+
+
+def test_shipped_networks_know_a_grasp_from_a_hand_in_the_air() -> None:
+    networks = networks_of(GraspsConfig())
+    cloud = encode_cloud(half_shell(), networks)
+    drawn = propose(cloud, networks, 256, 0, 0)
+    best = int(np.argmax(drawn.scores))
+    assert drawn.scores[best] > 0.7
+    # palms lie around the object, not through the table 12 cm below its top, and most fingers point down, away from the camera
+    assert np.linalg.norm(drawn.T_cloud_palm[:, :3, 3] - cloud.mean, axis=1).max() < 0.3
+    raised = drawn.T_cloud_palm[best].copy()
+    raised[2, 3] -= 0.15
+    assert evaluate(cloud, networks, raised[None], drawn.joints[best][None])[0] < 0.1
+
+
+# reachability
+
+
+def test_arm_of_the_description_is_the_arm() -> None:
+    """Against MuJoCo's kinematics of the same arm: a frame, an axis or a limit mistaken."""
+    description = load_description(robot_urdf(T_hand_camera), "arm", (), 0.012)
+    palm = next(link for link in description.joints if "palm" in link)
+    arm = arm_of(description, "base_link", palm)
+    assert arm is not None
+    kinematics = ArmKinematics()
+    rng = np.random.default_rng(1)
+    np.testing.assert_allclose([j.lower for j in arm.movable], LOWER, atol=1e-6)
+    found = 0
+    for _ in range(20):
+        q = rng.uniform(LOWER + 0.1, UPPER - 0.1)
+        T, J = arm.palm(q)
+        np.testing.assert_allclose(T, kinematics.palm(q), atol=1e-6)
+        moved = arm.palm(q + 1e-6 * np.eye(7)[3])[0]
+        np.testing.assert_allclose((moved - T)[:3, 3] / 1e-6, J[:3, 3], atol=1e-4)
+        solved = arm.solve(T, np.clip(q + rng.normal(0, 0.3, 7), LOWER, UPPER))
+        if solved is not None:
+            found += 1
+            assert ((solved >= LOWER - 1e-9) & (solved <= UPPER + 1e-9)).all()
+            assert np.linalg.norm(arm.palm(solved)[0][:3, 3] - T[:3, 3]) < 1e-3
+    assert found >= 16
+    far = np.eye(4)
+    far[:3, 3] = (2.5, 0, 0.3)
+    assert arm.solve(far, np.zeros(7)) is None

@@ -1,0 +1,154 @@
+"""Catches: labels that do not come from physics, views in a wrong frame, a resumed run that ends elsewhere."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from dgeval.config import GraspsConfig
+from dgeval.geometry import invert, transform
+from dgeval.networks.bps import basis
+from dgeval.physics.objects import procedural_object, surface_points, ten_objects
+from dgeval.simulation.clouds import seen_from
+from dgeval.stages.grasping import networks_of
+from dgeval.training import ffhnet
+from dgeval.training.ffhnet import Settings, batch_of, load_objects, palms_of
+from dgeval.training.grasp_data import make_grasps, read_grasps, write_all
+from dgeval.training.ship import scores_of
+from dgeval.training.views import random_camera, views_of
+
+Dgeval = Callable[..., subprocess.CompletedProcess[str]]
+SMALL = Settings(n_bps=64, width=24, hidden=16, views=4, held_out=2, batch=64, steps=12)
+
+
+@pytest.fixture(scope="module")
+def grasps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six small objects, a few grasps each."""
+    out = tmp_path_factory.mktemp("train") / "grasps"
+    write_all(out, 6, 0, 12, 1, lambda _: None)
+    return out
+
+
+@pytest.mark.slow
+def test_grasps_are_tried_in_physics_and_repeat(grasps: Path) -> None:
+    thing = procedural_object(1, 0)
+    once, again = make_grasps(thing, 0, 12), read_grasps(grasps / f"{thing.name}.npz")
+    np.testing.assert_allclose(once.T_object_palm, again.T_object_palm, atol=1e-6)
+    np.testing.assert_array_equal(once.held, again.held)
+    assert 0 < once.held.sum() < len(once.held)
+    assert not (once.held & once.overlapping).any()
+    # what held has the palm near the object, its fingers' side turned to it
+    palms = once.T_object_palm[once.held]
+    assert np.linalg.norm(palms[:, :3, 3], axis=1).max() < 0.25
+
+
+def test_a_camera_sees_the_near_side_only() -> None:
+    thing = ten_objects()["baseball"]
+    surface = surface_points(thing, 6000, np.random.default_rng(0))
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        T = random_camera(rng)
+        rows, measured = seen_from(surface, T, rng)
+        exact = transform(T, surface)
+        away = (exact[rows, 2] > exact[:, 2].mean() + 0.012).mean()
+        assert away < 0.03  # behind the rim of a ball
+        assert 0.25 < len(rows) / len(surface) < 0.6
+        assert np.median(np.linalg.norm(measured - exact[rows], axis=1)) < 0.002
+
+
+def test_a_view_is_centred_and_its_encoding_belongs_to_it() -> None:
+    thing = ten_objects()["sugar_box"]
+    surface = surface_points(thing, 4000, np.random.default_rng(0))
+    for view in views_of(thing, 4, 128, 0):
+        placed = transform(view.T_view_object, surface)
+        # distances to the whole surface are never longer than to the part that was seen, but for noise
+        whole = np.linalg.norm(basis(128)[:, None] - placed[None], axis=2).min(axis=1)
+        assert (view.bps > whole - 0.025).all()
+        assert np.median(view.bps - whole) > -0.002
+        assert np.linalg.norm(placed.mean(axis=0)) < 0.09
+
+
+@pytest.mark.slow
+def test_a_batch_keeps_palm_and_cloud_together(grasps: Path) -> None:
+    objects = load_objects(grasps, SMALL, 6, 0)
+    bps, palms, label = batch_of(objects, 200, {"held": 0.5, "far": 0.5}, np.random.default_rng(0))
+    for k in range(0, 200, 9):
+        owner = next(o for o in objects if any(torch.equal(b, bps[k]) for b in o.bps))
+        view = next(v for v, b in enumerate(owner.bps) if torch.equal(b, bps[k]))
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = palms.rotation[k], palms.translation[k]
+        T_object_palm = invert(owner.T_view_object[view]) @ T
+        same = np.abs(owner.T_object_palm[:, :3, :3] - T_object_palm[:3, :3]).max(axis=(1, 2)) < 1e-4
+        assert same.any()
+        raised = T_object_palm[2, 3] - owner.T_object_palm[same][:, 2, 3]
+        assert (np.abs(raised).min() < 1e-4) if label[k] else (raised.max() > 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["generator", "evaluator_fingers"])
+def test_a_resumed_run_ends_like_an_uninterrupted_one(
+    grasps: Path, tmp_path: Path, kind: ffhnet.Kind, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    objects = load_objects(grasps, SMALL, 6, 0)[:3]
+    whole = ffhnet.train(kind, objects, SMALL, tmp_path / "whole", lambda *_: None)
+    monkeypatch.setattr(ffhnet, "SAVE_EVERY", 5)
+
+    class StoppedError(Exception):
+        pass
+
+    def stop(step: int, _: object) -> None:
+        if step == 7:
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        ffhnet.train(kind, objects, SMALL, tmp_path / "part", stop)
+    steps: list[int] = []
+    resumed = ffhnet.train(kind, objects, SMALL, tmp_path / "part", lambda step, _: steps.append(step))
+    assert steps[0] == 6
+    for name, tensor in whole.state_dict().items():
+        assert torch.equal(tensor, resumed.state_dict()[name]), name
+
+
+def test_scores_against_closed_forms() -> None:
+    held = np.array([False, False, True, True])
+    assert scores_of(np.array([0.1, 0.2, 0.8, 0.9]), held)["auc"] == 1.0
+    assert scores_of(np.array([0.9, 0.2, 0.8, 0.1]), held)["auc"] == pytest.approx(0.25)
+    assert scores_of(np.full(4, 0.5), held) == {"auc": 0.5, "brier": 0.25, "ece": 0.0, "held": 0.5}
+
+
+def test_palms_keep_their_place() -> None:
+    T = np.eye(4)
+    T[:3, 3] = (0.1, 0.2, 0.3)
+    palms = palms_of(T[None], np.zeros((1, 15)))
+    np.testing.assert_allclose(palms.translation, [[0.1, 0.2, 0.3]], atol=1e-7)
+
+
+@pytest.mark.slow
+def test_training_from_the_command_line(dgeval: Dgeval, tmp_path: Path) -> None:
+    """The whole way on a very small scale, and the weights it makes can be used."""
+    command = (
+        "train",
+        "ffhnet",
+        "--out",
+        tmp_path,
+        "--objects",
+        "10",
+        "--tried",
+        "12",
+        "--views",
+        "2",
+        "--steps",
+        "10",
+        "--json",
+    )
+    done = dgeval(*command, timeout=400)
+    assert done.returncode == 0, done.stderr
+    metrics = json.loads(done.stdout)
+    assert metrics["data"]["training"]["held"] > 0
+    files = {k: str(tmp_path / f"ffhnet_{k}.safetensors") for k in ("generator", "evaluator")}
+    assert networks_of(GraspsConfig(**files)).n_bps == metrics["settings"]["n_bps"]
