@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,7 @@ from dgeval.report.statistics import wilson
 
 from benchmarks.result import table, write
 
-# success rates of the paper's Table II (conveyor), by belt speed mm/s, ten objects each
-PAPER = {0: 90, 20: 90, 40: 70, 60: 50, 80: 60, 100: 50, 120: 70, 140: 80, 160: 80, 180: 90, 200: 80, 220: 50}
+PUBLISHED = json.loads((resources.files("dgeval.report") / "published" / "papers.json").read_text(encoding="utf-8"))
 KINDS = ("success", "imprecise_pose", "collision", "timing")
 
 
@@ -26,17 +26,30 @@ def kind(result: dict[str, Any]) -> str:
     return result["verdict"]["failure_class"] or "success"
 
 
-def by_speed(results: list[dict[str, Any]]) -> str:
+def rates(results: list[dict[str, Any]], paper: dict[str, Any], by: str) -> str:
+    """Success by `speed` (belt mm/s) or `object`, beside the paper's counts."""
+
+    def group(r: dict[str, Any]) -> str:
+        v = r["verdict"]
+        return str(round(abs(v["speed"]) * 1000)) if by == "speed" else str(v["object"])
+
+    key, each = ("speed_mm_s", "n_per_speed") if by == "speed" else ("object", "n_per_object")
+    counts = paper.get(key, {})
+    names = list(dict.fromkeys(group(r) for r in results))
+    if by == "speed":
+        names.sort(key=int)
     rows = []
-    speeds = sorted({round(abs(r["verdict"]["speed"]) * 1000) for r in results})
-    for speed in [*speeds, None]:
-        some = [r for r in results if speed is None or round(abs(r["verdict"]["speed"]) * 1000) == speed]
+    for name in [*names, None]:
+        some = [r for r in results if name is None or group(r) == name]
         k = sum(kind(r) == "success" for r in some)
         low, high = wilson(k, len(some))
-        interval = f"{100 * low:.0f}–{100 * high:.0f} %"
-        printed = f"{PAPER[speed]} %" if speed in PAPER else ("71.7 %" if speed is None else "–")
-        rows.append([str(speed) if speed is not None else "all", f"{k}/{len(some)}", interval, printed])
-    return table(["belt mm/s", "succeeded", "95 % Wilson", "paper, Table II"], rows)
+        printed = "–"
+        if name is None:
+            printed = f"{paper['printed']['overall']} %" if paper else "–"
+        elif name in counts:
+            printed = f"{100 * counts[name] / paper[each]:.0f} %"
+        rows.append([name or "all", f"{k}/{len(some)}", f"{100 * low:.0f}–{100 * high:.0f} %", printed])
+    return table(["belt mm/s" if by == "speed" else by, "succeeded", "95 % Wilson", "paper"], rows)
 
 
 def shares(results: list[dict[str, Any]]) -> str:
@@ -72,7 +85,7 @@ def stability(results: list[dict[str, Any]], n: int) -> str:
         found: Counter[str] = Counter()
         for r in some:
             v = r["verdict"]
-            scenario = load_scenario(v["scenario"])
+            scenario = load_scenario(v["scenario"]).model_copy(update={"grasps": v.get("grasps", "analytic")})
             campaign = Campaign(scenario, v["seed"], 1, Path("unused"))
             plan = plan_trial(scenario, ten_objects(), v["seed"], v["index"])
             for k in range(3):
@@ -86,18 +99,27 @@ def stability(results: list[dict[str, Any]], n: int) -> str:
 def main() -> None:
     path = Path(sys.argv[1])
     results = json.loads(path.read_text())["simulated"]
-    name = results[0]["verdict"]["scenario"]
-    notes = (
-        "Stood in: modelled perception for TransT-M and ICP in the loop, an analytic sampler and score for FFHNet; "
-        f"servo gains {results[0]['verdict']['gains']}; faults as in the scenario."
+    verdict = results[0]["verdict"]
+    name, grasps = verdict["scenario"], verdict.get("grasps", "analytic")
+    paper = PUBLISHED.get(name, {})
+    stands = (
+        "an analytic sampler and score for FFHNet" if grasps == "analytic" else "nothing for FFHNet, whose weights are ours"
     )
-    parts = [notes, by_speed(results), shares(results), seconds(results)]
+    notes = (
+        f"Stood in: modelled perception for TransT-M and ICP in the loop, {stands}; "
+        f"servo gains {verdict['gains']}; faults as in the scenario."
+    )
+    clean = [r for r in results if not r["verdict"]["faults_present"]]
+    parts = [notes, rates(results, paper, "speed"), rates(results, paper, "object")]
+    parts += [f"Of the {len(clean)} trials without an injected fault:", rates(clean, paper, "object")] if clean else []
+    parts += [shares(results), seconds(results)]
+    suffix = "" if grasps == "analytic" else f"-{grasps}"
     command = f"python -m benchmarks.simulation {path.name}"
     if "--stability" in sys.argv:
         n = int(sys.argv[sys.argv.index("--stability") + 1])
         parts += [f"Class of re-runs with ±1 mm, ±3 mm/s, ±10 ms, the first {n} failures of each class:", stability(results, n)]
         command += f" --stability {n}"
-    print(write(f"simulation-{name}", f"Simulated campaign: {name}", command, parts).read_text())
+    print(write(f"simulation-{name}{suffix}", f"Simulated campaign: {name}", command, parts).read_text())
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ from dgeval.physics.objects import surface_points, ten_objects
 from dgeval.report.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.simulation.grasps import known_grasps
 from dgeval.simulation.perception import ModelledPerception
+from dgeval.simulation.proposals import KnownGrasps
 from dgeval.simulation.record import EFFORT_NOISE
 from dgeval.simulation.scenario import load_scenario, plan_trial
 from dgeval.simulation.trial import Run, run_trial
@@ -163,7 +164,13 @@ def judge(job: tuple[int, int, str, int, tuple[str, ...]]) -> dict[str, Any]:
     about = VARIANTS[variant]
     world = World(things[plan.object], plan.speed)
     change(world, about)
-    run = run_trial(plan, scenario, world, known_grasps(things[plan.object]), ModelledPerception(scenario, plan, world))
+    run = run_trial(
+        plan,
+        scenario,
+        world,
+        KnownGrasps(known_grasps(things[plan.object]), scenario.evaluator),
+        ModelledPerception(scenario, plan, world),
+    )
     succeeded = run.finish is not None and run.finish.success
     sighted = [f.tick * PERIOD_NS for f in run.frames if f.accepted]
     gap, sided = blind_gap(sighted, None if run.close is None else run.close * PERIOD_NS)

@@ -131,6 +131,12 @@ class GraspsConfig(Section):
         "auto", description="auto: the robot's own where they are recorded, else FFHNet where the hand is one it knows"
     )
     candidates: int = Field(256, ge=1, le=10_000, description="grasps drawn per frame (paper: not given, PAPERS A14)")
+    max_overlap: float = Field(
+        0.004, ge=0, description="m; candidates whose hand lies deeper in the model are left out (ours; 1 turns it off)"
+    )
+    support_z: float | None = Field(
+        None, description="m in the base frame; candidates whose hand reaches deeper below it are left out (ours)"
+    )
     generator: str | None = Field(None, description="weights, .safetensors or the authors' *_gen_net.pt; default: shipped")
     evaluator: str | None = Field(None, description="weights, .safetensors or the authors' *_eva_net.pt; default: shipped")
 

@@ -6,7 +6,7 @@ Open loop: what such a system would have believed and commanded at the recorded 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,17 @@ from dgeval.recording.frame import Frame
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import GRASP_TOPIC, Trial
 from dgeval.stages.execution import execute
-from dgeval.stages.grasping import Candidates, EncodedCloud, Networks, encode_cloud, evaluate, networks_of, propose
+from dgeval.stages.grasping import (
+    Candidates,
+    EncodedCloud,
+    Feasible,
+    Networks,
+    encode_cloud,
+    evaluate,
+    free_of,
+    networks_of,
+    propose,
+)
 from dgeval.stages.perception import Perception, pose_columns
 from dgeval.stages.reachability import Arm, arm_of
 from dgeval.stages.schedule import Delayed
@@ -27,8 +37,6 @@ from dgeval.stages.selection import by_metric, grasp_metric
 from dgeval.stages.servo import Servo
 from dgeval.stages.target import find_target
 from dgeval.stages.types import Model, Tracked
-
-MOST_TRIED = 16  # candidates whose reachability is asked for in a frame
 
 
 @dataclass(frozen=True)
@@ -148,8 +156,13 @@ class _Grasping:
         assert isinstance(drawn, Candidates)
         poses = T_base_camera @ drawn.T_cloud_palm
         row["n_grasps"] = len(poses)
+        z = config.grasps.support_z
+        support = None if z is None else (T_base_camera[2, :3], z - float(T_base_camera[2, 3]))
         metric = drawn.scores if palm is None else grasp_metric(poses, drawn.scores, palm, config.selection)
-        chosen = self._first_reachable(poses, by_metric(metric).tolist(), frame.t_ns)
+        chosen = Feasible(
+            lambda rows: free_of(cloud, drawn.T_cloud_palm[rows], drawn.joints[rows], support, config.grasps.max_overlap),
+            self._reaches(poses, frame.t_ns),
+        ).first(by_metric(metric))
         if chosen is None:
             return None
         row["grasp_score"] = float(drawn.scores[chosen])
@@ -160,16 +173,17 @@ class _Grasping:
         score = evaluate(cloud, self._networks, T_cloud_palm[None], drawn.joints[chosen][None])
         return _Choice(poses[chosen], float(score[0]))
 
-    def _first_reachable(self, poses: Array, order: list[int], t_ns: int) -> int | None:
-        """Without the arm's kinematics or joints every grasp counts as reachable."""
-        if self._arm is None:
-            return order[0] if order else None
+    def _reaches(self, poses: Array, t_ns: int) -> Callable[[int], bool] | None:
+        """Whether the arm reaches a pose from where it is; None where its kinematics or joints are not known."""
+        arm = self._arm
+        if arm is None:
+            return None
         gap = round(self._config.sync.max_pose_gap_s * 1e9)
-        q = [self._joints.at(j.name, t_ns, gap) for j in self._arm.movable]
+        q = [self._joints.at(j.name, t_ns, gap) for j in arm.movable]
         if any(v is None for v in q):
-            return order[0] if order else None
+            return None
         start = np.array(q, dtype=float)
-        return next((k for k in order[:MOST_TRIED] if self._arm.solve(poses[k], start) is not None), None)
+        return lambda row: arm.solve(poses[row], start) is not None
 
 
 def _control(

@@ -92,7 +92,7 @@ def _grasps(campaign: Campaign, plan: Plan) -> GraspSource:
     scenario = campaign.scenario
     if scenario.grasps == "analytic":
         return KnownGrasps(_known(campaign.meshes, plan.object), scenario.evaluator)
-    return FFHNetGrasps(networks_of(scenario.pipeline.grasps), scenario.pipeline.grasps.candidates, plan.seed, plan.index)
+    return FFHNetGrasps(networks_of(scenario.pipeline.grasps), scenario.pipeline.grasps, plan.seed, plan.index)
 
 
 def simulate(campaign: Campaign, plan: Plan) -> tuple[Run, World]:

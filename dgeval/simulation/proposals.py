@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dgeval.config import GraspsConfig
 from dgeval.geometry import Array, invert, rotation_angle
 from dgeval.simulation.grasps import KnownGrasp
 from dgeval.simulation.perception import Sight
 from dgeval.simulation.scenario import EvaluatorConfig
-from dgeval.stages.grasping import EncodedCloud, Networks, encode_cloud, evaluate, propose
+from dgeval.stages.grasping import EncodedCloud, Networks, encode_cloud, evaluate, free_of, propose
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,15 @@ class Proposals:
     scores: Array
     cloud: EncodedCloud | None = None
     T_view_object: Array | None = None
+    max_overlap: float = 0.0
+    support: tuple[Array, float] | None = None
+
+    def free(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Whether the hand at candidates (k,) lies outside the cloud they were drawn for; known grasps always do."""
+        if self.cloud is None or self.T_view_object is None:
+            return np.ones(len(rows), bool)
+        poses = self.T_view_object @ self.T_object_palm[rows]
+        return free_of(self.cloud, poses, self.preshapes[rows], self.support, self.max_overlap)
 
 
 class GraspSource(Protocol):
@@ -65,8 +76,8 @@ def analytic_score(T_base_palm: Array, T_base_grasp: Array, quality: float, c: E
 class FFHNetGrasps:
     """The paper's: candidates drawn anew for the model cloud of every accepted frame, poses judged by its evaluator."""
 
-    def __init__(self, networks: Networks, n: int, seed: int, index: int) -> None:
-        self._networks, self._n, self._seed, self._index = networks, n, seed, index
+    def __init__(self, networks: Networks, config: GraspsConfig, seed: int, index: int) -> None:
+        self._networks, self._config, self._seed, self._index = networks, config, seed, index
         self._last: Proposals | None = None
 
     def propose(self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array) -> Proposals | None:
@@ -75,14 +86,17 @@ class FFHNetGrasps:
         # the cloud's own place, the camera's axes
         R_camera_base = T_base_camera[:3, :3].T
         cloud = encode_cloud(sight.cloud @ R_camera_base.T, self._networks)
-        drawn = propose(cloud, self._networks, self._n, self._seed, self._index * 100_000 + frame)
+        drawn = propose(cloud, self._networks, self._config.candidates, self._seed, self._index * 100_000 + frame)
         T_view_object = np.eye(4)
         T_view_object[:3, :3], T_view_object[:3, 3] = (
             R_camera_base @ T_base_object[:3, :3],
             R_camera_base @ T_base_object[:3, 3],
         )
         poses = invert(T_view_object) @ drawn.T_cloud_palm
-        self._last = Proposals(poses, drawn.joints, drawn.scores, cloud, T_view_object)
+        z = self._config.support_z
+        support = None if z is None else (R_camera_base[:, 2], z)
+        most = self._config.max_overlap
+        self._last = Proposals(poses, drawn.joints, drawn.scores, cloud, T_view_object, most, support)
         return self._last
 
     def score(self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array) -> float:  # noqa: ARG002  the protocol's

@@ -145,6 +145,7 @@ def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scena
         "seed": plan.seed,
         "index": plan.index,
         "gains": scenario.pipeline.servo.gains,
+        **({"grasps": scenario.grasps} if scenario.grasps != "analytic" else {}),
     }
 
 

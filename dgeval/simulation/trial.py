@@ -20,13 +20,14 @@ from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import FINISH_S, Finish, Finisher, Snapshot, World, home
 from dgeval.stages.estimation import VelocityFilter
 from dgeval.stages.execution import execute
+from dgeval.stages.grasping import Feasible
 from dgeval.stages.schedule import Delayed
 from dgeval.stages.selection import by_metric, grasp_metric
 from dgeval.stages.servo import Servo
 
 OPEN = np.tile([0.0, 0.15, 0.25], 5)  # fingers before a grasp is chosen
 MAX_TWIST = np.array([0.7, 0.7, 0.7, 2.0, 2.0, 2.0])  # m/s, rad/s
-MOST_TRIED, REACHED = 32, 1e-3  # candidates whose reachability is asked for, per set; error m + 0.1 m per rad
+REACHED = 1e-3  # m + 0.1 m per rad, of the inverse kinematics
 REACH = 0.62  # m along the belt; beyond it the arm gives up
 
 
@@ -105,7 +106,7 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
     frames = set(frame_ticks(scenario.camera.rate, scenario.max_seconds + FINISH_S + 1))
     usable: Usable | None = None
     due: int | None = None
-    reachable = _Reachable(world)
+    chooser = _Chooser(world)
     fingers = OPEN.copy()
     finisher: Finisher | None = None
     n_frame = 0
@@ -152,7 +153,7 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
             # the controller knows its stated latency and makes up for it; it doesn't know of a fault
             T_object[:3, 3] += velocity_now * (tick * CONTROL_S - usable.t - faults.latency)
             proposals = usable.proposals
-            chosen = None if proposals is None else reachable.best(proposals, T_object, palm, config.selection)
+            chosen = None if proposals is None else chooser.best(proposals, T_object, palm, config.selection)
             if proposals is not None and chosen is not None:
                 T_grasp = T_object @ proposals.T_object_palm[chosen] @ increment(np.array(faults.grasp_offset))
                 command = servo.step(t_ns, palm, T_grasp, world.T_base_hand() @ T_hand_camera, T_object[:3, 3], velocity_now)
@@ -193,22 +194,20 @@ def _ahead(palm: Array, T_grasp: Array, share: float) -> Array:
     return T
 
 
-class _Reachable:
-    """The best candidate by the dynamic metric that the arm can reach; of one set, unreachable ones are left out for good."""
+class _Chooser:
+    """The best candidate by the dynamic metric that is free and in reach; of one set, what is not is left out for good."""
 
     def __init__(self, world: World) -> None:
         self._world = world
         self._of: Proposals | None = None
-        self._known: dict[int, bool] = {}
 
     def best(self, proposals: Proposals, T_base_object: Array, palm: Array, config: SelectionConfig) -> int | None:
-        if proposals is not self._of:
-            self._of, self._known = proposals, {}
         poses = T_base_object @ proposals.T_object_palm
-        for k in by_metric(grasp_metric(poses, proposals.scores, palm, config))[:MOST_TRIED].tolist():
-            if k not in self._known:
-                _, residual = self._world.kinematics.solve(poses[k], self._world.q_set, 100, enough=REACHED)
-                self._known[k] = residual < REACHED
-            if self._known[k]:
-                return int(k)
-        return None
+        if proposals is not self._of:
+            self._of, self._feasible = proposals, Feasible(proposals.free, self._reaches)
+        self._poses = poses
+        return self._feasible.first(by_metric(grasp_metric(poses, proposals.scores, palm, config)))
+
+    def _reaches(self, row: int) -> bool:
+        _, residual = self._world.kinematics.solve(self._poses[row], self._world.q_set, 100, enough=REACHED)
+        return residual < REACHED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from dgeval.config import GraspsConfig
 from dgeval.determinism import generator
@@ -16,9 +18,13 @@ from dgeval.errors import UsageError
 from dgeval.geometry import Array
 from dgeval.networks.bps import basis, encode
 from dgeval.networks.ffhnet import N_JOINTS, FFHEvaluator, FFHGenerator, Palms, load_evaluator, load_generator
+from dgeval.stages.hand_overlap import depth_below, overlap
 
 JOINT_LOW = np.tile([-0.261799, 0.0, 0.0], 5)  # rad, of the 15 joints (PAPERS 1.4)
 JOINT_HIGH = np.tile([0.261799, 1.48353, 1.13446], 5)
+OVERLAP_POINTS = 300  # of a cloud, in which overlaps are looked for
+CHUNK = 32  # candidates whose overlap is calculated at a time
+MOST_TRIED = 32  # candidates out of the arm's reach, after which there is none
 
 
 @dataclass(frozen=True)
@@ -35,10 +41,14 @@ class Networks:
 
 @dataclass(frozen=True)
 class EncodedCloud:
-    """What the networks see of a cloud: bps (1, n) of it about its mean (3,) m, in the axes it was given in."""
+    """What the networks see of a cloud: bps (1, n) of it about its mean (3,) m, in the axes it was given in.
+
+    points: some of it (m, 3), to look for overlaps of hand and object.
+    """
 
     bps: torch.Tensor
     mean: Array
+    points: Array
 
 
 @dataclass(frozen=True)
@@ -71,7 +81,8 @@ def _load(generator_file: str | None, evaluator_file: str | None) -> Networks:
 def encode_cloud(points: Array, networks: Networks) -> EncodedCloud:
     """points (m, 3) m with the camera's axes."""
     mean = points.mean(axis=0)
-    return EncodedCloud(torch.from_numpy(encode(points - mean, basis(networks.n_bps)))[None], mean)
+    bps = torch.from_numpy(encode(points - mean, basis(networks.n_bps)))[None]
+    return EncodedCloud(bps, mean, points[:: -(-len(points) // OVERLAP_POINTS)])
 
 
 def within_limits(joints: Array) -> Array:
@@ -91,6 +102,54 @@ def propose(cloud: EncodedCloud, networks: Networks, n: int, seed: int, frame: i
     T[:, :3, :3] = palms.rotation.double().numpy()
     T[:, :3, 3] = palms.translation.double().numpy() + cloud.mean
     return Candidates(T, joints, scores.double().numpy())
+
+
+def free_of(
+    cloud: EncodedCloud, T_cloud_palm: Array, joints: Array, support: tuple[Array, float] | None, most: float
+) -> NDArray[np.bool_]:
+    """Whether the preshaped hand at poses (n, 4, 4) lies at most `most` m deep in the cloud and below its support.
+
+    support: normal (3,) and offset m of the plane in the cloud's frame.
+    """
+    deep = overlap(cloud.points, T_cloud_palm, joints)
+    if support is not None:
+        deep = np.maximum(deep, depth_below(*support, T_cloud_palm, joints))
+    return np.asarray(deep <= most)
+
+
+class Feasible:
+    """Which of one set of candidates a robot could take, asked in the order of the metric and remembered.
+
+    free: rows (k,) -> whether the hand there is free of the cloud (k,); reaches: row -> whether the arm gets there.
+    """
+
+    def __init__(
+        self, free: Callable[[NDArray[np.intp]], NDArray[np.bool_]] | None, reaches: Callable[[int], bool] | None
+    ) -> None:
+        self._free, self._reaches = free, reaches
+        self._known_free: dict[int, bool] = {}
+        self._known_reached: dict[int, bool] = {}
+
+    def first(self, order: NDArray[np.intp]) -> int | None:
+        """The first in an order that is both; None where none is, or after MOST_TRIED that can't be reached."""
+        tried = 0
+        rows: list[int] = order.tolist()
+        for position, row in enumerate(rows):
+            if self._free is not None and row not in self._known_free:
+                some = order[position : position + CHUNK]
+                self._known_free.update(zip(some.tolist(), self._free(some).tolist(), strict=True))
+            if not self._known_free.get(row, True):
+                continue
+            if self._reaches is None:
+                return row
+            if row not in self._known_reached:
+                self._known_reached[row] = self._reaches(row)
+            if self._known_reached[row]:
+                return row
+            tried += 1
+            if tried == MOST_TRIED:
+                break
+        return None
 
 
 def evaluate(cloud: EncodedCloud, networks: Networks, T_cloud_palm: Array, joints: Array) -> Array:

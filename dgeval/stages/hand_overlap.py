@@ -1,0 +1,86 @@
+"""How deep a preshaped hand would lie in the model cloud: grasps that a robot could only reach through the object.
+
+Ours, beyond the paper, whose evaluator is blind to the fingers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from scipy.spatial.transform import Rotation
+
+from dgeval.geometry import Array, invert
+from dgeval.physics.hand import CHAIN, FINGER_MOUNTS, FINGERS, PALM_BOXES, RADIUS, T_hand_palm, capsule_ends, pose
+
+
+def finger_axes(joints: Array) -> Array:
+    """Ends of the 15 finger links' axes, palm frame: (n, 15, 2, 3) m for joint positions (n, 15) rad."""
+    n = len(joints)
+    out = np.empty((n, 15, 2, 3))
+    T_palm_hand = invert(T_hand_palm)
+    for f, finger in enumerate(FINGERS):
+        T = np.tile(T_palm_hand @ pose(*FINGER_MOUNTS[finger]), (n, 1, 1))
+        for k, joint in enumerate(CHAIN):
+            turn = np.tile(np.eye(4), (n, 1, 1))
+            q = joints[:, 3 * f + min(k, 2)]  # the last joint follows the one before it
+            turn[:, :3, :3] = Rotation.from_euler("z", q[:, None]).as_matrix()
+            T = T @ pose(joint.xyz, joint.rpy) @ turn
+            for end, point in enumerate(capsule_ends(joint)):
+                if k > 0:
+                    out[:, 3 * f + k - 1, end] = T[:, :3, :3] @ point + T[:, :3, 3]
+    return out
+
+
+def overlap(points: Array, T_cloud_palm: Array, joints: Array) -> Array:
+    """Depth (n,) m of the deepest of the cloud's points (m, 3) inside the hand at each palm pose (n, 4, 4); 0 where none is."""
+    T_palm_hand = invert(T_hand_palm)
+    centres = np.array([T_palm_hand[:3, :3] @ centre + T_palm_hand[:3, 3] for _, centre, _ in PALM_BOXES])
+    halves = np.array([half for half, _, _ in PALM_BOXES])
+    return np.asarray(_deepest(points, T_cloud_palm, finger_axes(joints), RADIUS, T_palm_hand[:3, :3].copy(), centres, halves))
+
+
+def depth_below(normal: Array, offset: float, T_cloud_palm: Array, joints: Array) -> Array:
+    """How far (n,) m the hand at each palm pose (n, 4, 4) reaches below the plane normal . p = offset; negative: above it."""
+    T_palm_hand = invert(T_hand_palm)
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
+    corners = np.concatenate([np.array(centre) + signs * np.array(half) for half, centre, _ in PALM_BOXES])
+    corners = corners @ T_palm_hand[:3, :3].T + T_palm_hand[:3, 3]
+    along = T_cloud_palm[:, :3, :3].transpose(0, 2, 1) @ normal  # the normal in each palm's frame
+    at = T_cloud_palm[:, :3, 3] @ normal - offset
+    fingers = np.einsum("nkec,nc->nke", finger_axes(joints), along).reshape(len(joints), -1).min(axis=1) - RADIUS
+    palm = (along @ corners.T).min(axis=1)
+    return np.asarray(-(np.minimum(fingers, palm) + at))
+
+
+@njit(cache=True)
+def _deepest(points, T, axes, radius, R_palm_hand, centres, halves):
+    out = np.zeros(len(T))
+    p = np.empty(3)
+    local = np.empty(3)
+    for i in range(len(T)):
+        for m in range(len(points)):
+            for c in range(3):  # the point in the palm's frame
+                p[c] = 0.0
+                for r in range(3):
+                    p[c] += T[i, r, c] * (points[m, r] - T[i, r, 3])
+            for k in range(axes.shape[1]):
+                along = length2 = 0.0
+                for c in range(3):
+                    edge = axes[i, k, 1, c] - axes[i, k, 0, c]
+                    along += (p[c] - axes[i, k, 0, c]) * edge
+                    length2 += edge * edge
+                share = min(max(along / length2, 0.0), 1.0)
+                distance2 = 0.0
+                for c in range(3):
+                    at = axes[i, k, 0, c] + share * (axes[i, k, 1, c] - axes[i, k, 0, c])
+                    distance2 += (p[c] - at) ** 2
+                out[i] = max(out[i], radius - np.sqrt(distance2))
+            for k in range(len(halves)):
+                depth = 1.0
+                for c in range(3):  # the palm's boxes stand in the hand's axes
+                    local[c] = 0.0
+                    for r in range(3):
+                        local[c] += R_palm_hand[r, c] * (p[r] - centres[k, r])
+                    depth = min(depth, halves[k, c] - abs(local[c]))
+                out[i] = max(out[i], depth)
+    return out
