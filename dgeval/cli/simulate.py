@@ -20,7 +20,10 @@ Examples:
 
 @command
 def simulate(
-    scenario: Annotated[str, typer.Argument(help="conveyor, static, failures, ci-smoke, a scenario FILE.toml, or a manifest.")],
+    scenario: Annotated[
+        str,
+        typer.Argument(help="conveyor, handover, conveyor-analytic, static, failures, ci-smoke, a FILE.toml, or a manifest."),
+    ],
     out: Annotated[Path | None, typer.Option(help="Folder; finished trials in it are kept. Default runs/SCENARIO.")] = None,
     trials: Annotated[int | None, typer.Option(min=1, help="Number of trials; default: the scenario's.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Another seed, other trials.")] = 0,

@@ -52,10 +52,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class ObjectData:
-    """One object: bps (v, n), T_view_object (v, 4, 4); grasps T_object_palm (g, 4, 4), joints (g, 15); rows of each kind.
-
-    proposed: how many of the grasps, the last ones, a generator proposed.
-    """
+    """One object: bps (v, n), T_view_object (v, 4, 4); grasps T_object_palm (g, 4, 4), joints (g, 15); rows of each kind."""
 
     name: str
     bps: Tensor
@@ -64,7 +61,6 @@ class ObjectData:
     joints: Array
     rows: dict[str, NDArray[np.intp]]
     top: float  # m, of the object in its frame
-    proposed: int = 0
 
 
 def load_objects(folder: Path, settings: Settings, count: int, seed: int, proposed: Path | None = None) -> list[ObjectData]:
@@ -100,7 +96,6 @@ def load_objects(folder: Path, settings: Settings, count: int, seed: int, propos
                 data.joints,
                 rows,
                 -min(p.lowest(np.array([0.0, 0.0, -1.0])) for p in thing.parts),
-                0 if more is None else len(more.held),
             )
         )
     if not any(len(o.rows["held"]) for o in out):
@@ -221,28 +216,8 @@ def train(
     return network.eval()
 
 
-def tried(objects: list[ObjectData], per_object: int, rng: np.random.Generator) -> tuple[Tensor, Palms, Tensor]:
-    """What an evaluator is judged by, with random views: a generator's proposals where there are any, else sampled grasps.
-
-    Proposals count with those that overlap, sampled grasps are those that were tried.
-    """
-    bps, poses, joints, held = [], [], [], []
-    for thing in objects:
-        rows = np.arange(len(thing.joints) - thing.proposed, len(thing.joints))
-        if not thing.proposed:
-            rows = np.concatenate([thing.rows["held"], thing.rows["failed"]])
-        for row in rng.permutation(rows)[:per_object]:
-            view = rng.integers(len(thing.bps))
-            bps.append(thing.bps[view])
-            poses.append(thing.T_view_object[view] @ thing.T_object_palm[row])
-            joints.append(thing.joints[row])
-            held.append(row in thing.rows["held"])
-    return torch.stack(bps), palms_of(np.stack(poses), np.stack(joints)), torch.tensor(held, dtype=torch.float32)
-
-
-def calibrate(network: FFHEvaluator, objects: list[ObjectData], seed: int) -> tuple[float, float]:
-    """Platt's scaling on grasps of objects that trained nothing, put into the last layer: factor and offset of the logit."""
-    bps, palms, held = tried(objects, 200, generator(seed, "calibration", 0))
+def calibrate(network: FFHEvaluator, bps: Tensor, palms: Palms, held: Tensor) -> tuple[float, float]:
+    """Platt's scaling, put into the last layer: factor and offset of the logit. Grasps of objects that trained nothing."""
     with torch.no_grad():
         logits = network.logits(bps, palms)
     scale = nn.Parameter(torch.tensor([1.0, 0.0]))

@@ -23,11 +23,11 @@ from dgeval.determinism import generator, limit_threads, set_thread_variables
 from dgeval.geometry import Array, increment, invert
 from dgeval.networks.ffhnet import FFHGenerator, load_generator
 from dgeval.physics.hand import T_hand_palm
-from dgeval.physics.objects import ObjectModel, at, procedural_object
+from dgeval.physics.objects import ObjectModel, at, procedural_object, surface_points
 from dgeval.recording.containers import sha256_of
 from dgeval.simulation.grasps import FlyingHand, candidate
-from dgeval.stages.grasping import within_limits
-from dgeval.training.views import views_of
+from dgeval.stages.grasping import EncodedCloud, Networks, encode_cloud, free_of, propose, within_limits
+from dgeval.training.views import cloud_of, views_of
 
 VERSION = 1  # of what is drawn below: files of another one are made again
 NOISE_SCALES = ((0.003, np.radians(3)), (0.008, np.radians(8)), (0.016, np.radians(16)))  # m, rad; perturbed positives
@@ -119,6 +119,36 @@ def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: in
             overlapping.append(deep)
             held.append(not deep and world.lifts(q, shake=True))
     return GraspData(np.array(poses), np.array(joints), np.array(held), np.array(overlapping))
+
+
+def try_selected(
+    thing: ObjectModel, networks: Networks, seed: int, views: int
+) -> tuple[list[EncodedCloud], Array, Array, Array]:
+    """What would be chosen for views of an object, tried: of 256 candidates that are free, the four best and four at random.
+
+    Returns the clouds, by grasp; T_cloud_palm (n, 4, 4); joints (n, 15); held (n,).
+    """
+    world = FlyingHand(thing)
+    T_base_object = at(0.5, 0.0, thing.rest_height())
+    surface = surface_points(thing, 12_000, generator(seed, f"selected/{thing.name}", 0))
+    clouds, poses, joints, held = [], [], [], []
+    for k in range(views):
+        rng = generator(seed, f"selected view/{thing.name}", k)
+        points, T_camera_object = cloud_of(surface, k % 2 == 1, rng)
+        cloud = encode_cloud(points, networks)
+        drawn = propose(cloud, networks, 256, seed, k)
+        normal = T_camera_object[:3, 2]
+        support = normal, float(normal @ T_camera_object[:3, 3]) - thing.rest_height()
+        free = np.flatnonzero(free_of(cloud, drawn.T_cloud_palm, drawn.joints, support, LIGHT_TOUCH))
+        best = free[np.argsort(-drawn.scores[free], kind="stable")][:4]
+        for row in [*best, *rng.permutation(np.setdiff1d(free, best))[:4]]:
+            T_object_palm = invert(T_camera_object) @ drawn.T_cloud_palm[row]
+            world.put(T_base_object @ T_object_palm @ invert(T_hand_palm), drawn.joints[row])
+            clouds.append(cloud)
+            poses.append(drawn.T_cloud_palm[row])
+            joints.append(drawn.joints[row])
+            held.append(world.lifts(drawn.joints[row], shake=True))
+    return clouds, np.array(poses), np.array(joints), np.array(held)
 
 
 def write_grasps(out: Path, index: int, seed: int, tried: int, weights: Path | None = None) -> Path:
