@@ -126,6 +126,7 @@ class _Grasping:
                 trial.scan.joints.get(trial.roles.hand_joints or "", []), config.clock.hand_joints.offset_ns
             )
         self._at: Any = None
+        self._kept: tuple[Array, Array] | None = None  # T_model_palm and joints of the grasp chosen last
 
     def step(self, frame: Frame, T_base_camera: Array | None, model: Model | None, T_camera_model: Array | None) -> None:
         """Candidates for an accepted frame's model; what was recorded, as it was."""
@@ -133,8 +134,9 @@ class _Grasping:
             self._at = self._coming.step(frame.t_ns, frame.grasp)
         elif self._networks is not None and model is not None and T_camera_model is not None and T_base_camera is not None:
             cloud = encode_cloud(transform(T_camera_model, model.points), self._networks)
-            drawn = propose(cloud, self._networks, self._config.grasps.candidates, self._config.seed, frame.index)
-            self._at = self._coming.step(frame.t_ns, (cloud, drawn, T_base_camera))
+            kept = None if self._kept is None else (T_camera_model @ self._kept[0], self._kept[1])
+            drawn = propose(cloud, self._networks, self._config.grasps.candidates, self._config.seed, frame.index, kept)
+            self._at = self._coming.step(frame.t_ns, (cloud, drawn, T_base_camera, T_camera_model))
         else:
             self._at = self._coming.at(frame.t_ns)
 
@@ -151,7 +153,7 @@ class _Grasping:
                 row["grasp_metric"] = float(metric[0])
             return _Choice(grasp.T_base_palm, grasp.score)
         assert self._networks is not None
-        cloud, drawn, T_base_camera = self._at[1]
+        cloud, drawn, T_base_camera, T_camera_model = self._at[1]
         assert isinstance(cloud, EncodedCloud)
         assert isinstance(drawn, Candidates)
         poses = T_base_camera @ drawn.T_cloud_palm
@@ -165,6 +167,7 @@ class _Grasping:
         ).first(by_metric(metric))
         if chosen is None:
             return None
+        self._kept = np.linalg.inv(T_camera_model) @ drawn.T_cloud_palm[chosen], drawn.joints[chosen]
         row["grasp_score"] = float(drawn.scores[chosen])
         if palm is None:
             return _Choice(poses[chosen], None)

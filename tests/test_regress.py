@@ -142,7 +142,7 @@ def test_grasps_by_ffhnet_in_place_of_the_recorded_ones(manifest: Path, before: 
     frames = once.frames("a")
     chosen = frames[frames["grasp_px"].notna()]
     assert len(chosen) > 20
-    assert (chosen["n_grasps"] == 64).all()
+    assert chosen["n_grasps"].isin([64, 65]).all()  # the one chosen before stays among them
     assert chosen["grasp_score"].between(0, 1).all()
     assert chosen["hand_score"].between(0, 1).all()
     near = (

@@ -23,7 +23,7 @@ from dgeval.training.ship import scores_of
 from dgeval.training.views import random_camera, views_of
 
 Dgeval = Callable[..., subprocess.CompletedProcess[str]]
-SMALL = Settings(n_bps=64, width=24, hidden=16, views=4, held_out=2, batch=64, steps=12)
+SMALL = Settings(n_bps=64, width=24, hidden=16, views=4, held_out=2, batch=64, steps=12, generator_steps=12)
 
 
 @pytest.fixture(scope="module")

@@ -43,7 +43,11 @@ class Proposals:
 class GraspSource(Protocol):
     """Gives candidates for a frame, and says how good a palm pose is (GraspEval of the paper)."""
 
-    def propose(self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array) -> Proposals | None: ...
+    def propose(
+        self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array, kept: tuple[Array, Array] | None
+    ) -> Proposals | None:
+        """kept: T_object_palm (4, 4) and preshape (15,) of the grasp chosen last."""
+        ...
 
     def score(
         self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array
@@ -59,7 +63,7 @@ class KnownGrasps:
         poses, preshapes = np.array([g.T_object_palm for g in grasps]), np.array([g.preshape for g in grasps])
         self._proposals = Proposals(poses, preshapes, 0.5 + 0.5 * self._quality) if grasps else None
 
-    def propose(self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array) -> Proposals | None:  # noqa: ARG002
+    def propose(self, *_: object) -> Proposals | None:
         return self._proposals
 
     def score(self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array) -> float:  # noqa: ARG002  the protocol's
@@ -80,18 +84,22 @@ class FFHNetGrasps:
         self._networks, self._config, self._seed, self._index = networks, config, seed, index
         self._last: Proposals | None = None
 
-    def propose(self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array) -> Proposals | None:
+    def propose(
+        self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array, kept: tuple[Array, Array] | None
+    ) -> Proposals | None:
         if sight.cloud is None:
             return self._last  # the model and its grasps as they were, moved along with the prediction
         # the cloud's own place, the camera's axes
         R_camera_base = T_base_camera[:3, :3].T
         cloud = encode_cloud(sight.cloud @ R_camera_base.T, self._networks)
-        drawn = propose(cloud, self._networks, self._config.candidates, self._seed, self._index * 100_000 + frame)
         T_view_object = np.eye(4)
         T_view_object[:3, :3], T_view_object[:3, 3] = (
             R_camera_base @ T_base_object[:3, :3],
             R_camera_base @ T_base_object[:3, 3],
         )
+        again = None if kept is None else (T_view_object @ kept[0], kept[1])
+        index = self._index * 100_000 + frame
+        drawn = propose(cloud, self._networks, self._config.candidates, self._seed, index, again)
         poses = invert(T_view_object) @ drawn.T_cloud_palm
         z = self._config.support_z
         support = None if z is None else (R_camera_base[:, 2], z)

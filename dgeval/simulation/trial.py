@@ -107,6 +107,7 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
     usable: Usable | None = None
     due: int | None = None
     chooser = _Chooser(world)
+    kept: tuple[Array, Array] | None = None
     fingers = OPEN.copy()
     finisher: Finisher | None = None
     n_frame = 0
@@ -127,7 +128,7 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
                     T[:3, 3] += velocity * (tick - run.frames[-1].tick) * CONTROL_S
                 run.frames.append(FrameBelief(n_frame, tick, sight is not None, T, velocity))
                 if T is not None and velocity is not None:
-                    proposals = grasps.propose(n_frame, seen, T, world.T_base_hand() @ T_hand_camera)
+                    proposals = grasps.propose(n_frame, seen, T, world.T_base_hand() @ T_hand_camera, kept)
                     arriving.step(t_ns, Usable(tick * CONTROL_S, T, velocity, proposals))
             n_frame += 1
         newest = arriving.at(t_ns)
@@ -166,6 +167,7 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
                 score = float(np.clip(score, 0.0, 1.0))
                 fire = bool(execute(score, config.execution))
                 run.preshape = preshape = proposals.preshapes[chosen]
+                kept = proposals.T_object_palm[chosen], preshape
         distance = world.hand_distance(NEAR) if tick % TRUTH_STEP == 0 else None
         run.ticks.append(
             Tick(snapshot, T_object, T_grasp, preshape, velocity_now, twist, score, fire, contact, foreign, distance)

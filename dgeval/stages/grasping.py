@@ -90,8 +90,14 @@ def within_limits(joints: Array) -> Array:
     return np.clip(joints, JOINT_LOW, JOINT_HIGH)
 
 
-def propose(cloud: EncodedCloud, networks: Networks, n: int, seed: int, frame: int) -> Candidates:
-    """n grasps drawn for a cloud, the same for the same seed and frame, scored; joints within the hand's limits."""
+def propose(
+    cloud: EncodedCloud, networks: Networks, n: int, seed: int, frame: int, kept: tuple[Array, Array] | None = None
+) -> Candidates:
+    """n grasps drawn for a cloud, the same for the same seed and frame, scored; joints within the hand's limits.
+
+    kept: T_cloud_palm (4, 4) and joints (15,) of the grasp chosen before, where it is now: it stays in the choice, as the
+    last one. Else a new draw in every frame lets the choice jump by decimetres and the hand never arrives (ours).
+    """
     draws = torch.Generator().manual_seed(int(generator(seed, "grasps", frame).integers(2**63)))
     with torch.inference_mode():
         palms = networks.generator.generate(cloud.bps, n, draws)
@@ -101,7 +107,15 @@ def propose(cloud: EncodedCloud, networks: Networks, n: int, seed: int, frame: i
     T = np.tile(np.eye(4), (n, 1, 1))
     T[:, :3, :3] = palms.rotation.double().numpy()
     T[:, :3, 3] = palms.translation.double().numpy() + cloud.mean
-    return Candidates(T, joints, scores.double().numpy())
+    out = Candidates(T, joints, scores.double().numpy())
+    if kept is None:
+        return out
+    again = evaluate(cloud, networks, kept[0][None], kept[1][None])
+    return Candidates(
+        np.concatenate([out.T_cloud_palm, kept[0][None]]),
+        np.concatenate([out.joints, kept[1][None]]),
+        np.concatenate([out.scores, again]),
+    )
 
 
 def free_of(

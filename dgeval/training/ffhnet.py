@@ -30,7 +30,9 @@ DROPOUT = 0.3
 SAVE_EVERY = 500  # steps
 CLEARANCE = 0.02  # m above an object's top: a hand whose grasp centre is higher holds nothing
 # shares of an evaluator's batch: held, tried and failed, overlapping, the authors' hard negatives, hands that are far off
-SHARES = {"held": 0.40, "failed": 0.20, "overlapping": 0.20, "hard": 0.10, "far": 0.10}
+# and hands on their way to a grasp, drawn back along their fingers
+SHARES = {"held": 0.40, "failed": 0.20, "overlapping": 0.15, "hard": 0.08, "retreated": 0.12, "far": 0.05}
+RETREAT_M = (0.03, 0.12)
 HARD_M, HARD_RAD = 0.03, 0.6  # hard negatives: every axis of a positive moved by this, signs random
 
 
@@ -44,7 +46,8 @@ class Settings:
     views: int = 100
     held_out: int = 9  # the last so many objects choose nothing but the calibration
     batch: int = 512
-    steps: int = 4000  # of an evaluator; a generator takes twice as many
+    steps: int = 3000  # of an evaluator
+    generator_steps: int = 8000
     learning_rate: float = 1e-3
     weight_decay: float = 1e-5
     seed: int = 0
@@ -108,7 +111,7 @@ def batch_of(
 ) -> tuple[Tensor, Palms, Tensor]:
     """n grasps of random objects and views: bps (n, k), palms in the view's frame, label (n,) 1 where it held."""
     kinds = rng.choice(list(shares), n, p=np.array(list(shares.values())))
-    source = {"hard": "held", "far": "held"}
+    source = {"hard": "held", "far": "held", "retreated": "held"}
     able = {k: [o for o in objects if len(o.rows[source.get(k, k)])] for k in shares}
     bps, poses, joints = [], np.empty((n, 4, 4)), np.empty((n, 15))
     for i, kind in enumerate(kinds):
@@ -118,6 +121,10 @@ def batch_of(
         T = thing.T_object_palm[row]
         if kind == "far":
             T = _lifted_off(T, thing.top, rng)
+        elif kind == "retreated":
+            back = np.eye(4)
+            back[2, 3] = -rng.uniform(*RETREAT_M)  # the hand's z runs along its fingers
+            T = T @ np.linalg.inv(T_hand_palm) @ back @ T_hand_palm
         T = thing.T_view_object[view] @ T
         if kind == "hard":
             T = _hard(T, rng)
@@ -183,7 +190,7 @@ def train(
     Draws depend on the step alone, so a resumed run ends like an uninterrupted one.
     """
     network = new_network(kind, settings)
-    steps = settings.steps * (2 if kind == "generator" else 1)
+    steps = settings.generator_steps if kind == "generator" else settings.steps
     optimiser = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     about, start = {"kind": kind, **asdict(settings)}, 0
