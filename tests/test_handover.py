@@ -81,7 +81,7 @@ def without_faults(scenario: Scenario, index: int) -> Plan:
 @pytest.mark.slow
 def test_a_handover_ends_with_the_object_in_the_robots_hand_alone(scenario: Scenario) -> None:
     campaign = Campaign(scenario.model_copy(update={"grasps": "analytic"}), 0, 100, Path("unused"))
-    run, world = simulate(campaign, without_faults(scenario, 1))
+    run, world = simulate(campaign, without_faults(scenario, 5))
     assert run.finish is not None
     assert run.finish.success
     assert not world.held_by_presenter
@@ -93,7 +93,7 @@ def test_a_handover_ends_with_the_object_in_the_robots_hand_alone(scenario: Scen
 
 @pytest.mark.slow
 def test_ffhnet_in_the_loop_repeats_and_follows_the_object() -> None:
-    scenario = load_scenario("conveyor")
+    scenario = load_scenario("conveyor").model_copy(update={"max_seconds": 2.5})
     assert scenario.grasps == "ffhnet"
     campaign = Campaign(scenario, 0, 120, Path("unused"))
     plan = without_faults(scenario, 41)

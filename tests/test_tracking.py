@@ -72,7 +72,7 @@ def run(frames: list[Frame], box: tuple[float, ...], *settings: str) -> list[Ste
         event_ns=lambda _: None,
         frames=lambda: iter(frames),
     )
-    return list(replay(trial, load_config("dynamic", settings)))
+    return list(replay(trial, load_config("dynamic", ("grasps.source=none", *settings))))
 
 
 def slide(k: int) -> np.ndarray:

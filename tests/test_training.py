@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from dgeval.config import GraspsConfig
 from dgeval.geometry import invert, transform
 from dgeval.networks.bps import basis
 from dgeval.physics.objects import procedural_object, surface_points, ten_objects
 from dgeval.simulation.clouds import seen_from
-from dgeval.stages.grasping import networks_of
 from dgeval.training import ffhnet
 from dgeval.training.ffhnet import Settings, batch_of, load_objects, palms_of
 from dgeval.training.grasp_data import make_grasps, read_grasps, write_all
 from dgeval.training.ship import scores_of
 from dgeval.training.views import random_camera, views_of
 
-Dgeval = Callable[..., subprocess.CompletedProcess[str]]
 SMALL = Settings(n_bps=64, width=24, hidden=16, views=4, held_out=2, batch=64, steps=12, generator_steps=12)
 
 
@@ -126,29 +120,3 @@ def test_palms_keep_their_place() -> None:
     T[:3, 3] = (0.1, 0.2, 0.3)
     palms = palms_of(T[None], np.zeros((1, 15)))
     np.testing.assert_allclose(palms.translation, [[0.1, 0.2, 0.3]], atol=1e-7)
-
-
-@pytest.mark.slow
-def test_training_from_the_command_line(dgeval: Dgeval, tmp_path: Path) -> None:
-    """The whole way on a very small scale, and the weights it makes can be used."""
-    command = (
-        "train",
-        "ffhnet",
-        "--out",
-        tmp_path,
-        "--objects",
-        "10",
-        "--tried",
-        "12",
-        "--views",
-        "2",
-        "--steps",
-        "10",
-        "--json",
-    )
-    done = dgeval(*command, timeout=400)
-    assert done.returncode == 0, done.stderr
-    metrics = json.loads(done.stdout)
-    assert metrics["data"]["training"]["held"] > 0
-    files = {k: str(tmp_path / f"ffhnet_{k}.safetensors") for k in ("generator", "evaluator")}
-    assert networks_of(GraspsConfig(**files)).n_bps == metrics["settings"]["n_bps"]
