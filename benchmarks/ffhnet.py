@@ -18,12 +18,11 @@ from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, invert
 from dgeval.networks.bps import basis, encode
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator
-from dgeval.physics.hand import T_hand_palm
-from dgeval.physics.objects import ObjectModel, at, procedural_object, surface_points, ten_objects
+from dgeval.physics.objects import ObjectModel, procedural_object, surface_points, ten_objects
 from dgeval.report.statistics import wilson
 from dgeval.simulation.grasps import FlyingHand, candidate, known_grasps
-from dgeval.stages.grasping import Networks, encode_cloud, free_of, networks_of, propose
-from dgeval.training.grasp_data import LIGHT_TOUCH
+from dgeval.stages.grasping import Networks, encode_cloud, networks_of, propose
+from dgeval.training.grasp_data import LIGHT_TOUCH, free_on_table
 from dgeval.training.ship import scores_of, selected
 from dgeval.training.views import cloud_of
 from matplotlib.figure import Figure
@@ -82,9 +81,9 @@ def neighbours() -> list[list[str]]:
     return rows
 
 
-def holds(world: FlyingHand, thing: ObjectModel, T_object_palm: Array, joints: Array) -> bool:
+def holds(world: FlyingHand, T_object_palm: Array, joints: Array) -> bool:
     """Not deep in object or table, lifted, and kept through the shake."""
-    world.put(at(0.5, 0.0, thing.rest_height()) @ T_object_palm @ invert(T_hand_palm), joints)
+    world.put_palm(T_object_palm, joints)
     return world.overlap(anything=True) <= LIGHT_TOUCH and world.lifts(joints, shake=True)
 
 
@@ -100,13 +99,11 @@ def in_physics(things: list[ObjectModel], views: int, networks: Networks) -> dic
                 cloud, T_camera_object = cloud_of(surface, fused, generator(1, f"bench/{thing.name}/{name}", k))
                 encoded = encode_cloud(cloud, networks)
                 drawn = propose(encoded, networks, 256, 1, k)
-                normal = T_camera_object[:3, 2]
-                support = normal, float(normal @ T_camera_object[:3, 3]) - thing.rest_height()
-                free = free_of(encoded, drawn.T_cloud_palm, drawn.joints, support, LIGHT_TOUCH)
+                free = free_on_table(thing, T_camera_object, encoded, drawn)
                 for way, scores in (("best", drawn.scores), ("best free", np.where(free, drawn.scores, -1.0))):
                     row = int(np.argmax(scores))
                     T = invert(T_camera_object) @ drawn.T_cloud_palm[row]
-                    out[f"{name}, {way}"].append((thing.name, holds(world, thing, T, drawn.joints[row])))
+                    out[f"{name}, {way}"].append((thing.name, holds(world, T, drawn.joints[row])))
             for draw in range(500):
                 T, joints = candidate(generator(2, f"bench/{thing.name}/{k}", draw), thing)
                 world.put(T, joints)
@@ -115,7 +112,7 @@ def in_physics(things: list[ObjectModel], views: int, networks: Networks) -> dic
                     break
             if known:
                 grasp = max(known, key=lambda g: g.quality) if k == 0 else known[k % len(known)]
-                out["known grasps"].append((thing.name, holds(world, thing, grasp.T_object_palm, grasp.preshape)))
+                out["known grasps"].append((thing.name, holds(world, grasp.T_object_palm, grasp.preshape)))
     return out
 
 

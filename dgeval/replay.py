@@ -6,9 +6,9 @@ Open loop: what such a system would have believed and commanded at the recorded 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,27 +16,17 @@ from dgeval.config import Config
 from dgeval.geometry import Array, transform
 from dgeval.physics.hand import ACTUATED
 from dgeval.recording.frame import Frame
-from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import GRASP_TOPIC, Trial
 from dgeval.stages.execution import execute
-from dgeval.stages.grasping import (
-    Candidates,
-    EncodedCloud,
-    Feasible,
-    Networks,
-    encode_cloud,
-    evaluate,
-    free_of,
-    networks_of,
-    propose,
-)
 from dgeval.stages.perception import Perception, pose_columns
-from dgeval.stages.reachability import Arm, arm_of
+from dgeval.stages.recorded_grasps import Choice, RecordedGrasps
 from dgeval.stages.schedule import Delayed
-from dgeval.stages.selection import by_metric, grasp_metric
 from dgeval.stages.servo import Servo
 from dgeval.stages.target import find_target
 from dgeval.stages.types import Model, Tracked
+
+if TYPE_CHECKING:
+    from dgeval.stages.model_grasps import ModelGrasps
 
 
 @dataclass(frozen=True)
@@ -61,7 +51,7 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
     state = perception or Perception(config)
     servo = Servo(config.servo)
     perceived: Delayed[Any] = Delayed(config.schedule.perception_latency_s)
-    grasping = _Grasping(trial, config)
+    grasps = _grasps(trial, config)
     moving_base = trial.robot.base_frame is not None
     given = trial.spec.bbox
     given_ns = trial.spec.bbox_time_ns
@@ -82,20 +72,13 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
         seen = state.step(frame, T_base_camera, box, clock.lap)
         row = seen.row
         usable = perceived.step(frame.t_ns, (seen.estimate, seen.model, seen.T_camera_model, T_base_camera))
-        grasping.step(frame, T_base_camera, seen.model if seen.accepted else None, seen.T_camera_model)
+        model = seen.model if seen.accepted else None
+        choice = None if grasps is None else grasps.choose(frame, T_base_camera, model, seen.T_camera_model, row)
         clock.lap("grasps")
-        _control(frame, T_base_camera, usable, grasping.choose(frame, row), servo, row, config)
+        _control(frame, T_base_camera, usable, choice, servo, row, config)
         clock.lap("control")
         shown = seen.T_camera_model if row.get("model_px") is not None else None
         yield Step(frame, row, clock.seconds, seen.tracked, seen.model, shown, T_base_camera, seen.accepted)
-
-
-@dataclass(frozen=True)
-class _Choice:
-    """g*_t as T_base_palm (4, 4) and the score of the hand where it is (GraspEval); None where nobody scores it."""
-
-    T_base_palm: Array
-    hand_score: float | None
 
 
 def grasp_source(trial: Trial, config: Config) -> str:
@@ -109,91 +92,22 @@ def grasp_source(trial: Trial, config: Config) -> str:
     return "ffhnet" if known and trial.robot.palm_frame is not None else "none"
 
 
-class _Grasping:
-    """Grasps of each frame, recorded or by FFHNet on the model cloud, and the choice among them."""
+def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None:
+    source = grasp_source(trial, config)
+    if source == "recorded":
+        return RecordedGrasps(config)
+    if source == "none":
+        return None
+    from dgeval.stages.model_grasps import ModelGrasps  # brings torch, which takes longer to import than all the rest
 
-    def __init__(self, trial: Trial, config: Config) -> None:
-        self._config = config
-        source = grasp_source(trial, config)
-        self._recorded = source == "recorded"
-        self._networks: Networks | None = networks_of(config.grasps) if source == "ffhnet" else None
-        self._coming: Delayed[Any] = Delayed(config.schedule.grasps_latency_s)
-        self._arm: Arm | None = None
-        robot = trial.robot
-        if self._networks is not None and robot.description is not None and robot.base_frame and robot.palm_frame:
-            self._arm = arm_of(robot.description, robot.base_frame, robot.palm_frame)
-            self._joints = JointTrack.of(
-                trial.scan.joints.get(trial.roles.hand_joints or "", []), config.clock.hand_joints.offset_ns
-            )
-        self._at: Any = None
-        self._kept: tuple[Array, Array] | None = None  # T_model_palm and joints of the grasp chosen last
-
-    def step(self, frame: Frame, T_base_camera: Array | None, model: Model | None, T_camera_model: Array | None) -> None:
-        """Candidates for an accepted frame's model; what was recorded, as it was."""
-        if self._recorded:
-            self._at = self._coming.step(frame.t_ns, frame.grasp)
-        elif self._networks is not None and model is not None and T_camera_model is not None and T_base_camera is not None:
-            cloud = encode_cloud(transform(T_camera_model, model.points), self._networks)
-            kept = None if self._kept is None else (T_camera_model @ self._kept[0], self._kept[1])
-            drawn = propose(cloud, self._networks, self._config.grasps.candidates, self._config.seed, frame.index, kept)
-            self._at = self._coming.step(frame.t_ns, (cloud, drawn, T_base_camera, T_camera_model))
-        else:
-            self._at = self._coming.at(frame.t_ns)
-
-    def choose(self, frame: Frame, row: dict[str, Any]) -> _Choice | None:
-        """The best by the dynamic metric that the arm can reach, and its columns."""
-        if self._at is None or self._at[1] is None:
-            return None
-        palm, config = frame.T_base_palm, self._config
-        if self._recorded:
-            grasp = self._at[1]
-            row["n_grasps"] = 1
-            if palm is not None and grasp.score is not None:
-                metric = grasp_metric(grasp.T_base_palm[None], np.array([grasp.score]), palm, config.selection)
-                row["grasp_metric"] = float(metric[0])
-            return _Choice(grasp.T_base_palm, grasp.score)
-        assert self._networks is not None
-        cloud, drawn, T_base_camera, T_camera_model = self._at[1]
-        assert isinstance(cloud, EncodedCloud)
-        assert isinstance(drawn, Candidates)
-        poses = T_base_camera @ drawn.T_cloud_palm
-        row["n_grasps"] = len(poses)
-        z = config.grasps.support_z
-        support = None if z is None else (T_base_camera[2, :3], z - float(T_base_camera[2, 3]))
-        metric = drawn.scores if palm is None else grasp_metric(poses, drawn.scores, palm, config.selection)
-        chosen = Feasible(
-            lambda rows: free_of(cloud, drawn.T_cloud_palm[rows], drawn.joints[rows], support, config.grasps.max_overlap),
-            self._reaches(poses, frame.t_ns),
-        ).first(by_metric(metric))
-        if chosen is None:
-            return None
-        self._kept = np.linalg.inv(T_camera_model) @ drawn.T_cloud_palm[chosen], drawn.joints[chosen]
-        row["grasp_score"] = float(drawn.scores[chosen])
-        if palm is None:
-            return _Choice(poses[chosen], None)
-        row["grasp_metric"] = float(metric[chosen])
-        T_cloud_palm = np.linalg.inv(T_base_camera) @ palm
-        score = evaluate(cloud, self._networks, T_cloud_palm[None], drawn.joints[chosen][None])
-        return _Choice(poses[chosen], float(score[0]))
-
-    def _reaches(self, poses: Array, t_ns: int) -> Callable[[int], bool] | None:
-        """Whether the arm reaches a pose from where it is; None where its kinematics or joints are not known."""
-        arm = self._arm
-        if arm is None:
-            return None
-        gap = round(self._config.sync.max_pose_gap_s * 1e9)
-        q = [self._joints.at(j.name, t_ns, gap) for j in arm.movable]
-        if any(v is None for v in q):
-            return None
-        start = np.array(q, dtype=float)
-        return lambda row: arm.solve(poses[row], start) is not None
+    return ModelGrasps(trial, config)
 
 
 def _control(
     frame: Frame,
     T_base_camera: Array | None,
     usable: tuple[int, Any] | None,
-    grasp: _Choice | None,
+    grasp: Choice | None,
     servo: Servo,
     row: dict[str, Any],
     config: Config,

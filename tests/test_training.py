@@ -9,10 +9,11 @@ import pytest
 import torch
 from dgeval.geometry import invert, transform
 from dgeval.networks.bps import basis
+from dgeval.networks.ffhnet import palms_of
 from dgeval.physics.objects import procedural_object, surface_points, ten_objects
 from dgeval.simulation.clouds import seen_from
 from dgeval.training import ffhnet
-from dgeval.training.ffhnet import Settings, batch_of, load_objects, palms_of
+from dgeval.training.ffhnet import Settings, batch_of, load_objects
 from dgeval.training.grasp_data import make_grasps, read_grasps, write_all
 from dgeval.training.ship import scores_of
 from dgeval.training.views import random_camera, views_of

@@ -7,9 +7,11 @@ import pickle
 import types
 import zipfile
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from dgeval.errors import Place, UsageError
@@ -69,28 +71,18 @@ def read_weights(path: Path, key: str | None = None) -> dict[str, Tensor]:
         raise UsageError("no such file of weights", place)
     try:
         if path.suffix == ".safetensors":
-            from safetensors.torch import load_file
-
             return load_file(path)
         with path.open("rb") as file:
-            whole = _load(file)
+            whole: Any = torch.load(file, map_location="cpu", pickle_module=_restricted, weights_only=False)
     except pickle.UnpicklingError as error:
         raise UsageError(f"not a file of weights that is safe to read: {error}", place) from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (RuntimeError, EOFError, OSError, ValueError, KeyError, zipfile.BadZipFile, SafetensorError) as error:
         raise UsageError(f"weights can't be read, cut off or no checkpoint ({_first_line(error)})", place) from error
-    except Exception as error:
-        if type(error).__name__ != "SafetensorError":
-            raise
-        raise UsageError(f"weights can't be read, cut off or no safetensors ({_first_line(error)})", place) from error
     found = whole.get(key, whole) if key is not None and isinstance(whole, dict) else whole
     if not isinstance(found, dict) or not all(isinstance(v, Tensor) for v in found.values()):
         names = ", ".join(map(str, list(whole)[:6])) if isinstance(whole, dict) else type(whole).__name__
         raise UsageError(f"no state dict {key or ''} in it; there is: {names}", place)
     return {name.removeprefix("module."): tensor for name, tensor in found.items()}
-
-
-def _load(file: IO[bytes]) -> Any:
-    return torch.load(file, map_location="cpu", pickle_module=_restricted, weights_only=False)
 
 
 def _first_line(error: Exception) -> str:

@@ -14,10 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from dgeval.geometry import Array
 from dgeval.networks.checkpoints import load_strictly, read_weights
 
 N_JOINTS, LATENT, SLOPE = 15, 5, 0.2
@@ -77,6 +79,19 @@ class Palms:
     rotation: Tensor
     translation: Tensor
     joints: Tensor
+
+
+def palms_of(poses: Array, joints: Array) -> Palms:
+    """Palms of poses (n, 4, 4) about the cloud's mean, and joints (n, 15)."""
+    R, t, q = (a.astype(np.float32) for a in (poses[:, :3, :3], poses[:, :3, 3], joints))
+    return Palms(torch.from_numpy(R), torch.from_numpy(t), torch.from_numpy(q))
+
+
+def poses_of(palms: Palms) -> Array:
+    """(n, 4, 4) about the cloud's mean."""
+    T = np.tile(np.eye(4), (len(palms.joints), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = palms.rotation.double().numpy(), palms.translation.double().numpy()
+    return T
 
 
 class FFHGenerator(nn.Module):

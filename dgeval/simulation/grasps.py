@@ -78,6 +78,10 @@ class FlyingHand:
         mujoco.mj_comPos(m, d)
         mujoco.mj_collision(m, d)
 
+    def put_palm(self, T_object_palm: Array, preshape: Array) -> None:
+        """`put`, by a palm pose in the object's frame."""
+        self.put(at(0.5, 0.0, self.rest) @ T_object_palm @ invert(T_hand_palm), preshape)
+
     def touches(self) -> bool:
         """Whether the hand overlaps anything."""
         pairs = self.data.contact.geom

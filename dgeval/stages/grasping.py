@@ -17,7 +17,15 @@ from dgeval.determinism import generator
 from dgeval.errors import UsageError
 from dgeval.geometry import Array
 from dgeval.networks.bps import basis, encode
-from dgeval.networks.ffhnet import N_JOINTS, FFHEvaluator, FFHGenerator, Palms, load_evaluator, load_generator
+from dgeval.networks.ffhnet import (
+    N_JOINTS,
+    FFHEvaluator,
+    FFHGenerator,
+    load_evaluator,
+    load_generator,
+    palms_of,
+    poses_of,
+)  # fmt: skip
 from dgeval.stages.hand_overlap import depth_below, overlap
 
 JOINT_LOW = np.tile([-0.261799, 0.0, 0.0], 5)  # rad, of the 15 joints (PAPERS 1.4)
@@ -85,9 +93,11 @@ def encode_cloud(points: Array, networks: Networks) -> EncodedCloud:
     return EncodedCloud(bps, mean, points[:: -(-len(points) // OVERLAP_POINTS)])
 
 
-def within_limits(joints: Array) -> Array:
-    """Joint positions (n, 15) rad, those beyond a joint's range at its end."""
-    return np.clip(joints, JOINT_LOW, JOINT_HIGH)
+def draw(bps: torch.Tensor, network: FFHGenerator, n: int, seed: int, stage: str, frame: int) -> tuple[Array, Array]:
+    """n grasps of a cloud by (seed, stage, frame) alone: T (n, 4, 4) about its mean, joints (n, 15) within their limits."""
+    draws = torch.Generator().manual_seed(int(generator(seed, stage, frame).integers(2**63)))
+    palms = network.generate(bps, n, draws)
+    return poses_of(palms), np.clip(palms.joints.double().numpy(), JOINT_LOW, JOINT_HIGH)
 
 
 def propose(
@@ -98,15 +108,10 @@ def propose(
     kept: T_cloud_palm (4, 4) and joints (15,) of the grasp chosen before, where it is now: it stays in the choice, as the
     last one. Else a new draw in every frame lets the choice jump by decimetres and the hand never arrives (ours).
     """
-    draws = torch.Generator().manual_seed(int(generator(seed, "grasps", frame).integers(2**63)))
+    T, joints = draw(cloud.bps, networks.generator, n, seed, "grasps", frame)
     with torch.inference_mode():
-        palms = networks.generator.generate(cloud.bps, n, draws)
-        joints = within_limits(palms.joints.double().numpy())
-        palms = Palms(palms.rotation, palms.translation, torch.from_numpy(joints.astype(np.float32)))
-        scores = networks.evaluator(cloud.bps, palms)
-    T = np.tile(np.eye(4), (n, 1, 1))
-    T[:, :3, :3] = palms.rotation.double().numpy()
-    T[:, :3, 3] = palms.translation.double().numpy() + cloud.mean
+        scores = networks.evaluator(cloud.bps, palms_of(T, joints))
+    T[:, :3, 3] += cloud.mean
     out = Candidates(T, joints, scores.double().numpy())
     if kept is None:
         return out
@@ -168,8 +173,8 @@ class Feasible:
 
 def evaluate(cloud: EncodedCloud, networks: Networks, T_cloud_palm: Array, joints: Array) -> Array:
     """Scores (n,) of palm poses (n, 4, 4) in the cloud's frame; joints (n, 15) matter to an evaluator with fingers only."""
-    R = torch.from_numpy(T_cloud_palm[:, :3, :3].astype(np.float32))
-    t = torch.from_numpy((T_cloud_palm[:, :3, 3] - cloud.mean).astype(np.float32))
+    T = T_cloud_palm.copy()
+    T[:, :3, 3] -= cloud.mean
     with torch.inference_mode():
-        scores = networks.evaluator(cloud.bps, Palms(R, t, torch.from_numpy(joints.astype(np.float32))))
+        scores = networks.evaluator(cloud.bps, palms_of(T, joints))
     return np.asarray(scores.double().numpy())

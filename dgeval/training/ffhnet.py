@@ -15,8 +15,8 @@ from torch.nn import functional
 
 from dgeval.determinism import generator
 from dgeval.errors import UsageError
-from dgeval.geometry import Array
-from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms
+from dgeval.geometry import Array, invert
+from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, palms_of
 from dgeval.physics.closing import GRASP_CENTRE
 from dgeval.physics.hand import T_hand_palm
 from dgeval.physics.objects import procedural_object
@@ -124,7 +124,7 @@ def batch_of(
         elif kind == "retreated":
             back = np.eye(4)
             back[2, 3] = -rng.uniform(*RETREAT_M)  # the hand's z runs along its fingers
-            T = T @ np.linalg.inv(T_hand_palm) @ back @ T_hand_palm
+            T = T @ invert(T_hand_palm) @ back @ T_hand_palm
         T = thing.T_view_object[view] @ T
         if kind == "hard":
             T = _hard(T, rng)
@@ -133,16 +133,10 @@ def batch_of(
     return torch.stack(bps), palms_of(poses, joints), torch.from_numpy((kinds == "held").astype(np.float32))
 
 
-def palms_of(poses: Array, joints: Array) -> Palms:
-    """(n, 4, 4) and (n, 15) as tensors."""
-    R, t = poses[:, :3, :3].astype(np.float32), poses[:, :3, 3].astype(np.float32)
-    return Palms(torch.from_numpy(R), torch.from_numpy(t), torch.from_numpy(joints.astype(np.float32)))
-
-
 def _lifted_off(T_object_palm: Array, top: float, rng: np.random.Generator) -> Array:
     """The palm raised until the grasp centre is over the object, and up to 20 cm more."""
     T = T_object_palm.copy()
-    centre = (T @ np.linalg.inv(T_hand_palm) @ np.append(GRASP_CENTRE, 1.0))[2]
+    centre = (T @ invert(T_hand_palm) @ np.append(GRASP_CENTRE, 1.0))[2]
     T[2, 3] += max(top + CLEARANCE - centre, 0.0) + rng.uniform(0, 0.2)
     return T
 

@@ -26,7 +26,7 @@ from dgeval.physics.hand import T_hand_palm
 from dgeval.physics.objects import ObjectModel, at, procedural_object, surface_points
 from dgeval.recording.containers import sha256_of
 from dgeval.simulation.grasps import FlyingHand, candidate
-from dgeval.stages.grasping import EncodedCloud, Networks, encode_cloud, free_of, propose, within_limits
+from dgeval.stages.grasping import Candidates, EncodedCloud, Networks, draw, encode_cloud, free_of, propose
 from dgeval.training.views import cloud_of, views_of
 
 VERSION = 1  # of what is drawn below: files of another one are made again
@@ -101,24 +101,26 @@ def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: in
     A light touch of object or table pushes as it would in an approach; only deeper overlaps are failures without a try.
     """
     world = FlyingHand(thing)
-    T_base_object = at(0.5, 0.0, thing.rest_height())
     views = views_of(thing, PROPOSED_VIEWS, network.dec_bn1.num_features, seed + 1)
     poses, joints, held, overlapping = [], [], [], []
     for k, view in enumerate(views):
-        draws = torch.Generator().manual_seed(int(generator(seed, f"proposed/{thing.name}", k).integers(2**63)))
-        palms = network.generate(torch.from_numpy(view.bps)[None], -(-tried // PROPOSED_VIEWS), draws)
-        T_view_palm = np.tile(np.eye(4), (len(palms.joints), 1, 1))
-        T_view_palm[:, :3, :3], T_view_palm[:, :3, 3] = palms.rotation.numpy(), palms.translation.numpy()
-        for T, q in zip(
-            invert(view.T_view_object) @ T_view_palm, within_limits(palms.joints.numpy().astype(float)), strict=True
-        ):
-            world.put(T_base_object @ T @ invert(T_hand_palm), q)
+        bps = torch.from_numpy(view.bps)[None]
+        T_view_palm, drawn = draw(bps, network, -(-tried // PROPOSED_VIEWS), seed, f"proposed/{thing.name}", k)
+        for T, q in zip(invert(view.T_view_object) @ T_view_palm, drawn, strict=True):
+            world.put_palm(T, q)
             deep = world.overlap(anything=True) > LIGHT_TOUCH
             poses.append(T)
             joints.append(q)
             overlapping.append(deep)
             held.append(not deep and world.lifts(q, shake=True))
     return GraspData(np.array(poses), np.array(joints), np.array(held), np.array(overlapping))
+
+
+def free_on_table(thing: ObjectModel, T_camera_object: Array, cloud: EncodedCloud, candidates: Candidates) -> NDArray[np.bool_]:
+    """Which candidates (n,) lie at most a light touch deep in the cloud of a standing object and in its table."""
+    normal = T_camera_object[:3, 2]
+    support = normal, float(normal @ T_camera_object[:3, 3]) - thing.rest_height()
+    return free_of(cloud, candidates.T_cloud_palm, candidates.joints, support, LIGHT_TOUCH)
 
 
 def try_selected(
@@ -129,7 +131,6 @@ def try_selected(
     Returns the clouds, by grasp; T_cloud_palm (n, 4, 4); joints (n, 15); held (n,).
     """
     world = FlyingHand(thing)
-    T_base_object = at(0.5, 0.0, thing.rest_height())
     surface = surface_points(thing, 12_000, generator(seed, f"selected/{thing.name}", 0))
     clouds, poses, joints, held = [], [], [], []
     for k in range(views):
@@ -137,13 +138,10 @@ def try_selected(
         points, T_camera_object = cloud_of(surface, k % 2 == 1, rng)
         cloud = encode_cloud(points, networks)
         drawn = propose(cloud, networks, 256, seed, k)
-        normal = T_camera_object[:3, 2]
-        support = normal, float(normal @ T_camera_object[:3, 3]) - thing.rest_height()
-        free = np.flatnonzero(free_of(cloud, drawn.T_cloud_palm, drawn.joints, support, LIGHT_TOUCH))
+        free = np.flatnonzero(free_on_table(thing, T_camera_object, cloud, drawn))
         best = free[np.argsort(-drawn.scores[free], kind="stable")][:4]
         for row in [*best, *rng.permutation(np.setdiff1d(free, best))[:4]]:
-            T_object_palm = invert(T_camera_object) @ drawn.T_cloud_palm[row]
-            world.put(T_base_object @ T_object_palm @ invert(T_hand_palm), drawn.joints[row])
+            world.put_palm(invert(T_camera_object) @ drawn.T_cloud_palm[row], drawn.joints[row])
             clouds.append(cloud)
             poses.append(drawn.T_cloud_palm[row])
             joints.append(drawn.joints[row])

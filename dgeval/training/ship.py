@@ -14,10 +14,10 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from dgeval.determinism import limit_threads
-from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_generator
+from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_generator, palms_of
 from dgeval.physics.objects import procedural_object
 from dgeval.stages.grasping import Networks
-from dgeval.training.ffhnet import Kind, ObjectData, Settings, calibrate, load_objects, palms_of, train
+from dgeval.training.ffhnet import Kind, ObjectData, Settings, calibrate, load_objects, train
 from dgeval.training.grasp_data import try_selected, write_all
 
 BINS = 10

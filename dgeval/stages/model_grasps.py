@@ -1,0 +1,102 @@
+"""FFHNet on the model cloud of every accepted frame, and the choice among its grasps by metric, overlap and reach."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dgeval.config import Config
+from dgeval.geometry import Array, invert, transform
+from dgeval.recording.frame import Frame
+from dgeval.recording.robot import JointTrack
+from dgeval.recording.trials import Trial
+from dgeval.stages.grasping import Candidates, EncodedCloud, Feasible, encode_cloud, evaluate, free_of, networks_of, propose
+from dgeval.stages.reachability import Arm, arm_of
+from dgeval.stages.recorded_grasps import Choice
+from dgeval.stages.schedule import Delayed
+from dgeval.stages.selection import by_metric, grasp_metric
+from dgeval.stages.types import Model
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """Candidates of one frame with the cloud they were drawn for, T_base_camera and T_camera_model of that frame."""
+
+    cloud: EncodedCloud
+    candidates: Candidates
+    T_base_camera: Array
+    T_camera_model: Array
+
+
+class ModelGrasps:
+    """Keeps the candidates of the newest accepted frame, and the grasp chosen last."""
+
+    def __init__(self, trial: Trial, config: Config) -> None:
+        self._config = config
+        self._networks = networks_of(config.grasps)
+        self._coming: Delayed[_Drawn] = Delayed(config.schedule.grasps_latency_s)
+        self._kept: tuple[Array, Array] | None = None  # T_model_palm and joints of the grasp chosen last
+        robot = trial.robot
+        self._arm: Arm | None = None
+        if robot.description is not None and robot.base_frame and robot.palm_frame:
+            self._arm = arm_of(robot.description, robot.base_frame, robot.palm_frame)
+        samples = trial.scan.joints.get(trial.roles.hand_joints or "", [])
+        self._joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)
+
+    def choose(
+        self,
+        frame: Frame,
+        T_base_camera: Array | None,
+        model: Model | None,
+        T_camera_model: Array | None,
+        row: dict[str, Any],
+    ) -> Choice | None:
+        """The best candidate by the dynamic metric that is free and in reach, and its columns; model: None if not accepted."""
+        at = self._coming.at(frame.t_ns)
+        if model is not None and T_camera_model is not None and T_base_camera is not None:
+            drawn = self._draw(frame, T_base_camera, model, T_camera_model)
+            at = self._coming.step(frame.t_ns, drawn)
+        if at is None:
+            return None
+        cloud, candidates, T_base_then = at[1].cloud, at[1].candidates, at[1].T_base_camera
+        palm, config = frame.T_base_palm, self._config
+        poses = T_base_then @ candidates.T_cloud_palm
+        row["n_grasps"] = len(poses)
+        z, most = config.grasps.support_z, config.grasps.max_overlap
+        support = None if z is None else (T_base_then[2, :3], z - float(T_base_then[2, 3]))
+        metric = candidates.scores if palm is None else grasp_metric(poses, candidates.scores, palm, config.selection)
+        chosen = Feasible(
+            lambda rows: free_of(cloud, candidates.T_cloud_palm[rows], candidates.joints[rows], support, most),
+            self._reaches(poses, frame.t_ns),
+        ).first(by_metric(metric))
+        if chosen is None:
+            return None
+        joints = candidates.joints[chosen]
+        self._kept = invert(at[1].T_camera_model) @ candidates.T_cloud_palm[chosen], joints
+        row["grasp_score"] = float(candidates.scores[chosen])
+        if palm is None:
+            return Choice(poses[chosen], None)
+        row["grasp_metric"] = float(metric[chosen])
+        score = evaluate(cloud, self._networks, (invert(T_base_then) @ palm)[None], joints[None])
+        return Choice(poses[chosen], float(score[0]))
+
+    def _draw(self, frame: Frame, T_base_camera: Array, model: Model, T_camera_model: Array) -> _Drawn:
+        cloud = encode_cloud(transform(T_camera_model, model.points), self._networks)
+        kept = None if self._kept is None else (T_camera_model @ self._kept[0], self._kept[1])
+        n, seed = self._config.grasps.candidates, self._config.seed
+        return _Drawn(cloud, propose(cloud, self._networks, n, seed, frame.index, kept), T_base_camera, T_camera_model)
+
+    def _reaches(self, poses: Array, t_ns: int) -> Callable[[int], bool] | None:
+        """Whether the arm reaches a pose from where it is; None where its kinematics or joints are not known."""
+        arm = self._arm
+        if arm is None:
+            return None
+        gap = round(self._config.sync.max_pose_gap_s * 1e9)
+        q = [self._joints.at(j.name, t_ns, gap) for j in arm.movable]
+        if any(v is None for v in q):
+            return None
+        start = np.array(q, dtype=float)
+        return lambda row: arm.solve(poses[row], start) is not None

@@ -1,0 +1,52 @@
+"""The robot's own choice of a grasp, where the log has it, in place of one made here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dgeval.config import Config
+from dgeval.geometry import Array
+from dgeval.stages.schedule import Delayed
+from dgeval.stages.selection import grasp_metric
+
+if TYPE_CHECKING:
+    from dgeval.recording.frame import Frame, RecordedGrasp
+    from dgeval.stages.types import Model
+
+
+@dataclass(frozen=True)
+class Choice:
+    """g*_t as T_base_palm (4, 4) and the score of the hand where it is (GraspEval); None where nobody scores it."""
+
+    T_base_palm: Array
+    hand_score: float | None
+
+
+class RecordedGrasps:
+    """The newest recorded grasp, as it was."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._coming: Delayed[RecordedGrasp | None] = Delayed(config.schedule.grasps_latency_s)
+
+    def choose(
+        self,
+        frame: Frame,
+        T_base_camera: Array | None,  # noqa: ARG002  as of `ModelGrasps`
+        model: Model | None,  # noqa: ARG002
+        T_camera_model: Array | None,  # noqa: ARG002
+        row: dict[str, Any],
+    ) -> Choice | None:
+        """The grasp that was usable at the frame, and its columns; None before there was one."""
+        at = self._coming.step(frame.t_ns, frame.grasp)
+        if at is None or at[1] is None:
+            return None
+        grasp, palm = at[1], frame.T_base_palm
+        row["n_grasps"] = 1
+        if palm is not None and grasp.score is not None:
+            metric = grasp_metric(grasp.T_base_palm[None], np.array([grasp.score]), palm, self._config.selection)
+            row["grasp_metric"] = float(metric[0])
+        return Choice(grasp.T_base_palm, grasp.score)
