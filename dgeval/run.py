@@ -204,8 +204,11 @@ def _trial_row(
     if source == "recorded":
         notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
     elif source == "ffhnet":
-        own = config.grasps.generator is None and config.grasps.evaluator is None
-        notes.append("grasps by FFHNet with " + ("dgeval's own weights" if own else "the given weights"))
+        from dgeval.networks.checkpoints import published
+
+        given = [Path(f) for f in (config.grasps.generator, config.grasps.evaluator) if f is not None]
+        names = [published(path) or f"weights {path.name}" for path in given]
+        notes.append("grasps by FFHNet with " + ", ".join(names if len(names) == 2 else [*names, "dgeval's own weights"]))
     row: dict[str, Any] = {
         "trial": spec.id,
         "recording": spec.recording.name,

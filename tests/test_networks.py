@@ -14,6 +14,7 @@ import torch
 from dgeval.config import GraspsConfig
 from dgeval.errors import UsageError
 from dgeval.geometry import Array
+from dgeval.networks import checkpoints
 from dgeval.networks.bps import basis, encode
 from dgeval.networks.checkpoints import read_weights
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_evaluator, load_generator, matrix_from_6d
@@ -212,6 +213,15 @@ def test_a_checkpoint_runs_nothing(tmp_path: Path, legacy: bool, capfd: pytest.C
     (tmp_path / "plain.pt").write_bytes(pickle.dumps(Runs()))
     with pytest.raises(UsageError):
         read_weights(tmp_path / "plain.pt")
+
+
+def test_a_published_file_is_known_by_its_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known, other = tmp_path / "a.pt", tmp_path / "b.pt"
+    known.write_bytes(b"published")
+    other.write_bytes(b"publishes")
+    monkeypatch.setitem(checkpoints.PUBLISHED, hashlib.sha256(b"published").hexdigest(), "the published one")
+    assert checkpoints.published(known) == "the published one"
+    assert checkpoints.published(other) is None
 
 
 def test_wrong_weights_are_named(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from dgeval.cli.boundary import command, print_json
 
 EXAMPLES = """\b
 Examples:
-  dgeval train ffhnet --out runs/ffhnet --jobs 2        (about two hours on two cores)
+  dgeval train ffhnet --out runs/ffhnet --jobs 2        (more than an hour on two cores)
   dgeval train ffhnet --out runs/quick --objects 18 --tried 60 --views 20 --steps 200
 
 Stopped runs go on where they were. Use what comes out with

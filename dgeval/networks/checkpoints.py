@@ -6,6 +6,7 @@ import hashlib
 import pickle
 import types
 import zipfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,7 @@ def load_strictly(network: nn.Module, weights: dict[str, Tensor], source: str) -
     network.eval()
 
 
+@cache
 def published(path: Path) -> str | None:
     """What a file is, where its SHA-256 is that of a published one."""
     with path.open("rb") as file:
