@@ -160,6 +160,53 @@ class ServoConfig(Section):
     derivative_tau: float = Field(0.1, gt=0, description="s; low-pass of the derivative (PAPERS A11)")
 
 
+class OneEuroConfig(Section):
+    """The paper names the filter and gives no parameters: these are PAPERS 7's, for 20 Hz."""
+
+    position_cutoff: float = Field(1.5, gt=0, description="Hz, least")
+    position_beta: float = Field(5.0, ge=0, description="Hz per m/s")
+    rotation_cutoff: float = Field(1.5, gt=0, description="Hz, least")
+    rotation_beta: float = Field(0.5, ge=0, description="Hz per rad/s")
+    d_cutoff: float = Field(1.0, gt=0, description="Hz, of the speeds")
+
+
+class VfasConfig(Section):
+    """VFAS-Grasp. Where the description says "ours", the paper gives no figure (PAPERS B1, B9)."""
+
+    evaluator: str | None = Field(
+        None, description="weights, .safetensors or 6-DoF GraspNet's latest_net.pth; default: shipped"
+    )
+    candidates: int = Field(64, ge=1, le=4096, description="N, grasps drawn per iteration (ours)")
+    half_width: float = Field(0.02, gt=0, description="m on each axis of the seed (paper)")
+    half_angle: float = Field(5.0, ge=0, description="degrees of pitch and yaw (paper)")
+    noise_candidates: Literal["all", "top8"] = Field("top8", description="which get noisy copies; paper: all")
+    copies: int = Field(5, ge=1, le=100, description="k, noisy copies (ours)")
+    noise: float = Field(0.002, ge=0, description="m, each axis (paper)")
+    k1: float = Field(5.0, ge=0, description="per m of distance from the seed (ours)")
+    k2: float = Field(1.0, ge=0, description="per rad of rotation from the seed (ours)")
+    k3: float = Field(0.5, ge=0, description="of the spread of quality (ours)")
+    good_score: float = Field(0.5, description="a grasp is good above it (paper)")
+    keep_seed: bool = Field(
+        True, description="the seed itself is a candidate too (ours: else no iteration can leave it in place)"
+    )
+    adaptive: bool = Field(True, description="the region and N grow until a good grasp is found")
+    factor: float = Field(1.3, ge=1, description="lambda, growth per iteration (paper)")
+    most_factor: float = Field(3.0, ge=1, description="paper")
+    motion_field: bool = Field(True, description="the seed moves with what moves near it")
+    rho: float = Field(0.05, gt=0, description="m, sphere round the seed of the motion field (ours)")
+    low_pass: bool = Field(True, description="the 1 euro filter on the seed")
+    filter: OneEuroConfig = OneEuroConfig()
+    period_s: float = Field(0.05, gt=0, description="between iterations (paper: 20 Hz)")
+    pregrasp: float = Field(0.10, gt=0, description="m before the grasp, along its approach (ours)")
+    hold_distance: float = Field(0.005, gt=0, description="m (ours)")
+    hold_angle: float = Field(3.0, gt=0, description="degrees (ours)")
+    hold_iterations: int = Field(5, ge=1, description="within both before the advance (paper)")
+    search: bool = Field(False, description="the seed is ahead of the gripper and stays until a good grasp is found (handover)")
+    search_ahead: float = Field(0.15, gt=0, description="m (paper)")
+    refine: bool = Field(True, description="without, the seed is executed as it is: the baseline of Table I")
+    gain: float = Field(2.0, gt=0, description="1/s of the proportional controller (ours)")
+
+
 class ExecutionConfig(Section):
     c_e: float = Field(0.7, description="execution threshold, strict (Table V)")
 
@@ -184,7 +231,7 @@ class ReviewConfig(Section):
 
 
 class Config(Section):
-    pipeline: Literal["dynamic"] = "dynamic"
+    pipeline: Literal["dynamic", "vfas"] = "dynamic"
     seed: int = Field(0, ge=0)
     roles: RolesConfig = RolesConfig()
     clock: ClockConfig = ClockConfig()
@@ -201,6 +248,7 @@ class Config(Section):
     grasps: GraspsConfig = GraspsConfig()
     selection: SelectionConfig = SelectionConfig()
     servo: ServoConfig = ServoConfig()
+    vfas: VfasConfig = VfasConfig()
     execution: ExecutionConfig = ExecutionConfig()
     schedule: ScheduleConfig = ScheduleConfig()
     verdict: VerdictConfig = VerdictConfig()
@@ -212,8 +260,10 @@ def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) ->
     values: dict[str, Any] = {}
     if pipeline.endswith(".toml"):
         values = read_toml(Path(pipeline))
-    elif pipeline != "dynamic":
-        raise UsageError(f"no pipeline {pipeline!r}", hint="built in: dynamic; or give a FILE.toml")
+    elif pipeline not in ("dynamic", "vfas"):
+        raise UsageError(f"no pipeline {pipeline!r}", hint="built in: dynamic, vfas; or give a FILE.toml")
+    else:
+        values["pipeline"] = pipeline
     for assignment in assignments:
         _assign(values, assignment)
     try:

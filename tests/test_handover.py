@@ -15,6 +15,7 @@ from dgeval.physics.presenter import Presenter, drawn
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, Scenario, load_scenario, plan_trial
+from dgeval.simulation.setting import Setting
 from dgeval.simulation.trial import OPEN
 from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, home, matrix_of, twin_path
@@ -43,7 +44,7 @@ def test_the_presenter_arrives_slows_down_and_trembles() -> None:
 
 def test_the_twin_stays_with_the_presenter() -> None:
     p = presenter()
-    twin = twin_path(THINGS["pudding_box"], 0.0, 0.0, 0.0, 0.0, 4.0, p)
+    twin = twin_path(THINGS["pudding_box"], 0.0, 0.0, 0.0, 0.0, 4.0, Setting(presenter=p))
     for k in range(0, len(twin), 20):
         position, quaternion = p.pose(k * 0.01)
         # the grip is soft and critically damped: it lags by twice its time constant of 50 ms
@@ -54,7 +55,7 @@ def test_the_twin_stays_with_the_presenter() -> None:
 
 
 def test_who_is_not_gripped_holds_on_and_who_lets_go_drops() -> None:
-    world = World(THINGS["pudding_box"], 0.0, presenter=presenter())
+    world = World(THINGS["pudding_box"], 0.0, setting=Setting(presenter=presenter()))
     world.start(home(world.kinematics, 0.35), OPEN, 0, 0, 0, 0)
     for _ in range(200):
         world.advance()

@@ -57,14 +57,14 @@ def add_arm(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> mujoco.MjsBody:
 
 
 class ArmKinematics:
-    """Forward and differential inverse kinematics of the palm on a model of the arm alone."""
+    """Forward and differential inverse kinematics of the palm, or of another tool, on a model of the arm alone."""
 
-    def __init__(self) -> None:
+    def __init__(self, T_hand_tool: Array = T_hand_palm) -> None:
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
         hand = add_arm(spec, spec.worldbody.add_body(name="base_link"))
         hand.mass, hand.inertia, hand.explicitinertial = 1.0, [0.01] * 3, True
-        place(hand.add_site(name="palm_link"), T_hand_palm)
+        place(hand.add_site(name="tool"), T_hand_tool)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._J = np.zeros((6, 7))

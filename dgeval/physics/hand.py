@@ -70,6 +70,11 @@ def pose(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Ar
 
 
 T_hand_palm = pose(PALM_XYZ, PALM_RPY)
+# The colour camera beside the thumb, looking along the fingers and 12 degrees towards them; ours. Optical y is hand -x.
+_TILT = Rotation.from_euler("x", -12, degrees=True).as_matrix()
+T_hand_camera = np.eye(4)
+T_hand_camera[:3, :3] = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ _TILT
+T_hand_camera[:3, 3] = (0.115, -0.045, -0.06)
 
 
 def quat_wxyz(R: Array) -> Array:

@@ -178,6 +178,26 @@ def ten_objects() -> dict[str, ObjectModel]:
     return {m.name: m for m in made}
 
 
+def eight_objects() -> dict[str, ObjectModel]:
+    """The eight objects of VFAS-Grasp (Table I): bowl, cracker box, chips can, mug, mustard and can by the YCB set's sizes.
+
+    Bottle and small box: sizes are ours, the paper gives none. Looks are ours.
+    """
+    mustard = ten_objects()["mustard_bottle"]
+    bottle = [(0.033, 0.033, 0.0), (0.033, 0.033, 0.13), (0.014, 0.014, 0.17), (0.014, 0.014, 0.20)]
+    made = [
+        vessel("bowl", 0.045, 0.080, 0.055, 0.004, 0.147, Look("print", (190, 40, 40))),
+        box("cracker_box", (60, 158, 210), 0.411, Look("print", (200, 40, 40))),
+        stack("bottle", bottle, 0.35, Look("print", (60, 130, 200))),
+        ObjectModel("can", 0.349, (Part("cylinder", np.eye(4), (0.033, 0.0505)),), Look("print", (190, 60, 40))),
+        ObjectModel("chips_can", 0.205, (Part("cylinder", np.eye(4), (0.0375, 0.125)),), Look("print", (200, 50, 50))),
+        ten_objects()["mug"],
+        ObjectModel("mustard", mustard.mass, mustard.parts, mustard.look),
+        box("small_box", (45, 70, 110), 0.150, Look("print", (80, 150, 90))),
+    ]
+    return {m.name: m for m in made}
+
+
 def procedural_object(index: int, seed: int = 0) -> ObjectModel:
     """Object `index` of an endless training set: of random kind, size and mass (30 to 600 g), none within 2 mm of the ten."""
     rng = generator(seed, "procedural", index)
@@ -217,14 +237,14 @@ def _random_object(index: int, rng: np.random.Generator) -> ObjectModel:
     return vessel(name, 0.85 * r, r, max(2 * h, 0.05), 0.0035, mass, look, handle=0.022 if kind == "mug" else 0.0)
 
 
-def add_object(spec: mujoco.MjSpec, model: ObjectModel) -> mujoco.MjsBody:
-    """A free body `object` with the model's parts; mass by volume over the parts, so that the total is right."""
-    body = spec.worldbody.add_body(name="object")
-    body.add_freejoint(name="object")
-    material = add_material(spec, model.name, model.look)
+def add_object(spec: mujoco.MjSpec, model: ObjectModel, called: str = "object") -> mujoco.MjsBody:
+    """A free body with the model's parts; mass by volume over the parts, so that the total is right."""
+    body = spec.worldbody.add_body(name=called)
+    body.add_freejoint(name=called)
+    material = add_material(spec, model.name if called == "object" else f"{called}_{model.name}", model.look)
     volumes = [p.volume() for p in model.parts]
     for k, (part, volume) in enumerate(zip(model.parts, volumes, strict=True)):
-        name = f"object_{k}"
+        name = f"{called}_{k}"
         if part.kind == "hull":
             assert part.vertices is not None
             spec.add_mesh(name=name, uservert=part.vertices.astype(np.float32).ravel())
@@ -242,9 +262,9 @@ def add_object(spec: mujoco.MjSpec, model: ObjectModel) -> mujoco.MjsBody:
             geom.group = 3  # not drawn
     if model.mesh is not None:
         vertices, faces = model.mesh
-        mesh = spec.add_mesh(name="seen", uservert=vertices.astype(np.float32).ravel(), userface=faces.ravel())
+        mesh = spec.add_mesh(name=f"{called}_seen", uservert=vertices.astype(np.float32).ravel(), userface=faces.ravel())
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        shown = [body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="seen")]
+        shown = [body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{called}_seen")]
         for part in model.parts:
             if part.kind == "capsule":  # a handle is not part of the surface of revolution
                 shown.append(body.add_geom(type=GEOM["capsule"], size=[*part.size, 0]))

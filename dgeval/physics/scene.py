@@ -12,12 +12,15 @@ import numpy as np
 from dgeval.geometry import Array, Intrinsics
 from dgeval.physics.arm import add_arm
 from dgeval.physics.hand import add_hand, place
+from dgeval.physics.jaw import add_gripper
 from dgeval.physics.objects import ObjectModel, add_object
 from dgeval.physics.presenter import add_presenter
 from dgeval.physics.texture import add_ground
 
 BELT_CENTRE, BELT_HALF = (0.50, 0.0), (0.22, 0.95)  # m; it runs along y
 FLOOR = -0.60  # m
+TURNTABLE_CENTRE, TURNTABLE_RADIUS, TURNTABLE_HEIGHT = (0.50, 0.0), 0.20, 0.02  # m
+TURNTABLE_TOP = TURNTABLE_HEIGHT + 0.001  # m; it stands clear of the belt
 BELT_GROUP = 1  # of what is seen: a renderer may draw the belt apart from the floor
 TIMESTEP = 0.002  # s; at 4 ms and more grasps that hold at 1 ms begin to slip (SIMULATION section 4)
 OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])  # MuJoCo's camera looks along -z with y up, the optical frame along +z
@@ -38,10 +41,13 @@ def build(
     robot: Literal["arm", "hand", "none"] = "arm",
     cameras: tuple[Camera, ...] = (),
     presented: bool = False,
+    gripper: Literal["fingers", "jaw"] = "fingers",
+    others: tuple[ObjectModel, ...] = (),
+    turntable: bool = False,
 ) -> mujoco.MjModel:
     """Compile a world. belt_speed m/s along +y (sign gives the direction); `hand` hangs on a mocap body, `none` is no robot.
 
-    presented: a person's hand holds the object.
+    presented: a person's hand holds the object. others: more objects, bodies `other_0`, …; turntable: a disc that turns.
     """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -66,12 +72,18 @@ def build(
         ground.contype, ground.conaffinity, ground.condim = 1, 3, 4
         ground.friction, ground.solref = [0.6, 0.005, 0.0001], [0.008, 1]
     add_object(spec, thing)
+    for index, other in enumerate(others):
+        add_object(spec, other, f"other_{index}")
+    if turntable:
+        _add_turntable(spec)
     if presented:
         add_presenter(spec, thing.extent())
+    add = add_hand if gripper == "fingers" else add_gripper
     if robot == "arm":
-        add_hand(spec, add_arm(spec, world.add_body(name="base_link")))
+        add(spec, add_arm(spec, world.add_body(name="base_link")))
     elif robot == "hand":
-        _add_flying_hand(spec)
+        add(spec, _add_flying_base(spec))
+        _weld_to_handle(spec)
     for camera in cameras:
         seen = spec.body("hand_base").add_camera(name=camera.name)
         k = camera.intrinsics
@@ -82,14 +94,30 @@ def build(
     return spec.compile()
 
 
-def _add_flying_hand(spec: mujoco.MjSpec) -> None:
-    """The hand alone, drawn after a mocap body `handle` by a soft weld (SIMULATION section 1)."""
+def _add_turntable(spec: mujoco.MjSpec) -> None:
+    """A disc on the table that a drive of speed turns about its axis."""
+    disc = spec.worldbody.add_body(name="turntable", pos=[*TURNTABLE_CENTRE, TURNTABLE_TOP - TURNTABLE_HEIGHT / 2], gravcomp=1)
+    disc.add_joint(name="turntable", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=1.0)
+    plate = disc.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[TURNTABLE_RADIUS, TURNTABLE_HEIGHT / 2, 0], mass=1.0)
+    plate.name, plate.contype, plate.conaffinity, plate.condim = "turntable", 1, 3, 4
+    plate.friction, plate.solref = [0.6, 0.005, 0.0001], [0.008, 1]
+    plate.material = add_ground(spec, "turntable_look", (95, 88, 80))
+    drive = spec.add_actuator(name="turntable", target="turntable", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    drive.set_to_velocity(kv=200.0)
+
+
+def _add_flying_base(spec: mujoco.MjSpec) -> mujoco.MjsBody:
+    """`hand_base` on its own, and the mocap body `handle` that it will follow."""
     handle = spec.worldbody.add_body(name="handle", mocap=True)
     handle.add_site(name="handle", size=[0.002] * 3, group=4)
     hand = spec.worldbody.add_body(name="hand_base")
     hand.add_freejoint(name="hand")
     hand.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=2.0, contype=0, conaffinity=0, group=4)
-    add_hand(spec, hand)
+    return hand
+
+
+def _weld_to_handle(spec: mujoco.MjSpec) -> None:
+    """The hand is drawn after its handle softly (SIMULATION section 1)."""
     weld = spec.add_equality(
         type=mujoco.mjtEq.mjEQ_WELD, name1="handle", name2="hand_base", objtype=mujoco.mjtObj.mjOBJ_BODY, solref=[0.01, 1]
     )

@@ -3,32 +3,50 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
-from dgeval.physics import arm, hand
+from dgeval.physics import arm, hand, jaw
+from dgeval.physics.gripper import FIVE_FINGERS, Gripper
 
 Numbers = tuple[float, ...]
 CAMERA_FRAME = "camera_color_optical_frame"
 
 
-def robot_urdf(T_hand_camera: Array) -> str:
-    """Arm, hand with its solids, palm_link, and the camera where the calibration says it is."""
+def robot_urdf(T_hand_camera: Array, gripper: Gripper = FIVE_FINGERS) -> str:
+    """Arm, gripper with its solids, palm_link (the frame of grasps), and the camera where the calibration says it is."""
     parts = [_link("base_link")]
     parent = "base_link"
     for k, (xyz, rpy, lower, upper, speed) in enumerate(arm.JOINTS):
         limits = lower, upper, 100.0, speed
         parts += [_link(f"link_{k + 1}"), _joint(arm.JOINT_NAMES[k], parent, f"link_{k + 1}", xyz, rpy, limits)]
         parent = f"link_{k + 1}"
-    boxes = "".join(
-        _solid(centre, (0, 0, 0), f'<box size="{2 * half[0]} {2 * half[1]} {2 * half[2]}"/>')
-        for half, centre, _ in hand.PALM_BOXES
-    )
-    parts += [_link("hand_base", boxes), _fixed("hand_mount", parent, "hand_base", arm.T_flange_hand)]
-    parts += [_link("palm_link"), _fixed("palm_mount", "hand_base", "palm_link", hand.T_hand_palm)]
+    offset = jaw.T_hand_grasp[:3, 3]
+    palm: list[tuple[Numbers, Numbers]] = [(half, centre) for half, centre, _ in hand.PALM_BOXES]
+    if gripper.name == "jaw":
+        palm = [(jaw.PALM[0], tuple(float(v) for v in offset + jaw.PALM[1]))]
+    parts += [_link("hand_base", _boxes(palm)), _fixed("hand_mount", parent, "hand_base", arm.T_flange_hand)]
+    parts += [_link("palm_link"), _fixed("palm_mount", "hand_base", "palm_link", gripper.T_hand_palm)]
     parts += [_link(CAMERA_FRAME), _fixed("hand_eye", "hand_base", CAMERA_FRAME, T_hand_camera)]
+    parts += _jaws() if gripper.name == "jaw" else _five_fingers()
+    return f'<robot name="dgeval_arm_hand">{"".join(parts)}</robot>'
+
+
+def _jaws() -> list[str]:
+    parts = []
+    for name, side in zip(jaw.JOINT_NAMES, (1.0, -1.0), strict=True):
+        solids = [(half, (side * centre[0], *centre[1:])) for half, centre in (jaw.DISTAL, jaw.PROXIMAL)]
+        parts.append(_link(name, _boxes(solids)))
+        xyz, limits = tuple(float(v) for v in jaw.T_hand_grasp[:3, 3]), (0.0, jaw.TRAVEL, jaw.GRIP_FORCE, jaw.CLOSE_SPEED)
+        parts.append(_joint(name, "hand_base", name, xyz, (0, 0, 0), limits, kind="prismatic", axis=f"{side} 0 0"))
+    return parts
+
+
+def _five_fingers() -> list[str]:
+    parts = []
     for finger in hand.FINGERS:
         parent, T = "hand_base", hand.pose(*hand.FINGER_MOUNTS[finger])
         for k, joint in enumerate(hand.CHAIN):
@@ -39,7 +57,14 @@ def robot_urdf(T_hand_camera: Array) -> str:
             limits = (joint.lower, joint.upper, joint.effort, hand.MAX_SPEED)
             parts.append(_joint(name, parent, name, xyz, rpy, limits, mimic))
             parent, T = name, np.eye(4)
-    return f'<robot name="dgeval_arm_hand">{"".join(parts)}</robot>'
+    return parts
+
+
+def _boxes(boxes: Sequence[tuple[Numbers, Numbers]]) -> str:
+    """Solids of half sizes and centres."""
+    return "".join(
+        _solid(centre, (0, 0, 0), f'<box size="{2 * half[0]} {2 * half[1]} {2 * half[2]}"/>') for half, centre in boxes
+    )
 
 
 def _origin(T: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
@@ -73,11 +98,14 @@ def _link(name: str, solids: str = "") -> str:
     return f'<link name="{name}">{solids}</link>'
 
 
-def _joint(name: str, parent: str, child: str, xyz: Numbers, rpy: Numbers, limits: Numbers, more: str = "") -> str:
+def _joint(
+    name: str, parent: str, child: str, xyz: Numbers, rpy: Numbers, limits: Numbers, more: str = "", kind: str = "revolute",
+    axis: str = "0 0 1",
+) -> str:  # fmt: skip
     lower, upper, effort, speed = limits
     return (
-        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{_text(xyz)}" rpy="{_text(rpy)}"/><axis xyz="0 0 1"/>'
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{_text(xyz)}" rpy="{_text(rpy)}"/><axis xyz="{axis}"/>'
         f'<limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="{speed}"/>{more}</joint>'
     )
 

@@ -26,6 +26,7 @@ from dgeval.recording.scan import Scan, scan
 from dgeval.recording.synchronise import StampFaults, clean_stamps, pair, tolerance_ns
 
 GRASP_TOPIC = "/dgeval/belief/grasp"
+SEED_TOPIC = "/dgeval/seed"  # of VFAS-Grasp: another planner's proposal
 SUFFIXES = (".mcap", ".bag", ".db3")
 MAX_WAITING = 64  # images of one role held while their partners are waited for
 

@@ -23,7 +23,8 @@ from typing import Any
 from dgeval import __version__
 from dgeval.determinism import fingerprint, limit_threads, set_thread_variables
 from dgeval.physics.closing import AFTER_CLOSE_S, CONTROL_S
-from dgeval.physics.objects import ObjectModel, ten_objects
+from dgeval.physics.objects import ObjectModel, eight_objects, ten_objects
+from dgeval.physics.scene import Camera
 from dgeval.recording.containers import sha256_of
 from dgeval.simulation.blame import blame
 from dgeval.simulation.grasps import KnownGrasp, known_grasps
@@ -34,8 +35,11 @@ from dgeval.simulation.record import verdict_document, write_recording
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Plan, Scenario, plan_trial
 from dgeval.simulation.seeing import Images, RenderedPerception
+from dgeval.simulation.setting import Setting
 from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import prove
+from dgeval.simulation.vfas_plan import plan_vfas
+from dgeval.simulation.vfas_trial import run_vfas
 from dgeval.simulation.world import World, twin_path
 from dgeval.stages.grasping import networks_of
 
@@ -79,13 +83,29 @@ class Campaign:
 
 
 @cache
-def _things(meshes: Path | None) -> dict[str, ObjectModel]:
-    return ten_objects() if meshes is None else load_meshes(meshes)
+def _things(meshes: Path | None, vfas: bool) -> dict[str, ObjectModel]:
+    if meshes is not None:
+        return load_meshes(meshes)
+    return eight_objects() if vfas else ten_objects()
 
 
 @cache
 def _known(meshes: Path | None, name: str) -> list[KnownGrasp]:
-    return known_grasps(_things(meshes)[name])
+    return known_grasps(_things(meshes, False)[name])
+
+
+def plan_of(campaign: Campaign, index: int) -> Plan:
+    """Trial `index` as drawn."""
+    things = _things(campaign.meshes, campaign.scenario.vfas)
+    planned = plan_vfas if campaign.scenario.vfas else plan_trial
+    return planned(campaign.scenario, things, campaign.seed, index)
+
+
+def _world(campaign: Campaign, plan: Plan, cameras: tuple[Camera, ...] = ()) -> World:
+    things = _things(campaign.meshes, campaign.scenario.vfas)
+    others = tuple((things[name], x, y, yaw) for name, x, y, yaw in plan.others)
+    setting = Setting(others, plan.presenter, plan.turn)
+    return World(things[plan.object], plan.speed, cameras, setting, campaign.scenario.gripper)
 
 
 def _grasps(campaign: Campaign, plan: Plan) -> GraspSource:
@@ -96,8 +116,11 @@ def _grasps(campaign: Campaign, plan: Plan) -> GraspSource:
 
 
 def simulate(campaign: Campaign, plan: Plan) -> tuple[Run, World]:
-    """One trial in closed loop on modelled perception, without images."""
-    world = World(_things(campaign.meshes)[plan.object], plan.speed, presenter=plan.presenter)
+    """One trial in closed loop; on modelled perception, without images, where the pipeline allows it."""
+    if campaign.scenario.vfas:
+        with with_images(campaign, plan) as (run, world, _, _):
+            return run, world
+    world = _world(campaign, plan)
     perceiver = ModelledPerception(campaign.scenario, plan, world)
     return run_trial(plan, campaign.scenario, world, _grasps(campaign, plan), perceiver), world
 
@@ -107,10 +130,14 @@ def with_images(campaign: Campaign, plan: Plan) -> Iterator[tuple[Run, World, Ey
     """One trial in closed loop in a world with cameras; the images kept are those that perception drew in the loop."""
     scenario = campaign.scenario
     cameras = true_cameras(scenario, plan)
-    world = World(_things(campaign.meshes)[plan.object], plan.speed, cameras, plan.presenter)
+    world = _world(campaign, plan, cameras)
     with Eyes(world, cameras, depth_profile(scenario), plan.seed, plan.index) as eyes:
+        if scenario.vfas:
+            run, kept = run_vfas(plan, scenario, world, eyes)
+            yield run, world, eyes, kept
+            return
         perceiver: ModelledPerception | RenderedPerception = ModelledPerception(scenario, plan, world)
-        kept: dict[int, Images] = {}
+        kept = {}
         if scenario.perception == "rendered":
             perceiver = RenderedPerception(scenario, plan, eyes)
             kept = perceiver.kept
@@ -121,13 +148,13 @@ def with_images(campaign: Campaign, plan: Plan) -> Iterator[tuple[Run, World, Ey
 def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
     """Simulate trial `index`, find out the truth about it, write its JSON; a finished one is read back."""
     limit_threads()
-    plan = plan_trial(campaign.scenario, _things(campaign.meshes), campaign.seed, index)
+    plan = plan_of(campaign, index)
     path = campaign.out / "truth" / f"{plan.id}.json"
     done = _finished(path, campaign.key())
     if done is not None:
         return done
     start = time.perf_counter()
-    if campaign.scenario.perception == "rendered" or campaign.records_all:
+    if campaign.scenario.vfas or campaign.scenario.perception == "rendered" or campaign.records_all:
         with with_images(campaign, plan) as (run, world, eyes, kept):
             physics = time.perf_counter() - start
             out = _prove(campaign, plan, run, world, physics)
@@ -173,7 +200,7 @@ def _succeeds(campaign: Campaign, plan: Plan) -> bool:
 def record_trial(campaign: Campaign, index: int) -> dict[str, Any]:
     """Simulate trial `index` again with cameras and write its recording, with the truth found before."""
     limit_threads()
-    plan = plan_trial(campaign.scenario, _things(campaign.meshes), campaign.seed, index)
+    plan = plan_of(campaign, index)
     if (done := _recorded(campaign, plan)) is not None:
         return done
     proved = prove_trial(campaign, index)
@@ -193,7 +220,7 @@ def _record(
 ) -> dict[str, Any]:
     start = time.perf_counter()
     seconds = len(run.ticks) * CONTROL_S + AFTER_CLOSE_S
-    twin = twin_path(world.thing, plan.speed, plan.x, plan.y, plan.yaw, seconds, plan.presenter)
+    twin = twin_path(world.thing, plan.speed, plan.x, plan.y, plan.yaw, seconds, world.setting)
     file = campaign.out / recording_name(campaign, plan.id)
     part = campaign.out / "part" / file.name
     if part.is_dir():

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
+from dgeval.physics.hand import T_hand_camera
 from dgeval.physics.objects import ObjectModel, surface_points
 from dgeval.physics.scene import Camera
 from dgeval.simulation.clouds import seen_from
@@ -17,11 +17,6 @@ from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.sensors import PROFILES, DepthProfile, colour_from_depth, colour_intrinsics, depth_intrinsics
 from dgeval.simulation.world import World
 
-# The colour camera beside the thumb, looking along the fingers and 12 degrees towards them; ours. Optical y is hand -x.
-_TILT = Rotation.from_euler("x", -12, degrees=True).as_matrix()
-T_hand_camera = np.eye(4)
-T_hand_camera[:3, :3] = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ _TILT
-T_hand_camera[:3, 3] = (0.115, -0.045, -0.06)
 MIN_SHARE = 0.35  # of the surface points on the object's near side inside the image and beyond the least range
 
 
@@ -61,7 +56,7 @@ def true_cameras(scenario: Scenario, plan: Plan) -> tuple[Camera, Camera]:
     """Colour and depth camera where they really are: the believed place and the hand-eye fault."""
     profile = depth_profile(scenario)
     size = scenario.camera.width, scenario.camera.height
-    T_hand_true = T_hand_camera @ increment(np.array(plan.faults.hand_eye))
+    T_hand_true = scenario.gripper.T_hand_camera @ increment(np.array(plan.faults.hand_eye))
     return (
         Camera("colour", colour_intrinsics(profile, *size), T_hand_true),
         Camera("depth", depth_intrinsics(profile, *size), T_hand_true @ colour_from_depth(profile)),

@@ -14,9 +14,9 @@ from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, transform
 from dgeval.physics.arm import JOINT_NAMES as ARM_JOINTS
 from dgeval.physics.closing import CLOSE_S, CONTROL_S, SETTLE_S
-from dgeval.physics.hand import ACTUATED, FINGERS, JOINT_NAMES
 from dgeval.physics.objects import surface_points
 from dgeval.physics.urdf import CAMERA_FRAME, robot_urdf
+from dgeval.recording.trials import SEED_TOPIC
 from dgeval.recording.write import (
     camera_info_message,
     cloud_message,
@@ -30,7 +30,6 @@ from dgeval.recording.write import (
     text,
     twist_stamped,
 )
-from dgeval.simulation.perception import T_hand_camera
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Scenario
 from dgeval.simulation.seeing import Images, encode
@@ -45,6 +44,10 @@ DEPTH_TOPIC = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
 COLOUR_TOPIC = "/camera/color/image_raw/compressed"
 MODELLED = "simulated: tracking and registration in the loop are modelled (truth with drawn errors), not TransT-M and ICP"
 RENDERED = "simulated: the model tracker stands in for TransT-M in the loop; registration, fusion and estimation ran on images"
+VFAS = [
+    "simulated: VFAS-Grasp with dgeval's own evaluator; DIS stands in for GMFlow",
+    "simulated: seeds are grasps known to hold, with a drawn error, in place of Contact-GraspNet's; fingers slide",
+]
 GRASPS = {
     "analytic": "simulated: grasps from an analytic sampler checked in physics and an analytic score stand in for FFHNet",
     "ffhnet": "simulated: grasps and scores by FFHNet with dgeval's own weights",
@@ -73,7 +76,9 @@ def write_recording(
     by_tick = {f.tick: f for f in run.frames}
     first: Array | None = None
     with open_writer(path) as writer:
-        writer.write("/robot_description", START_NS, text(robot_urdf(T_hand_camera)))
+        writer.write("/robot_description", START_NS, text(robot_urdf(world.gripper.T_hand_camera, world.gripper)))
+        if run.T_base_seed is not None:
+            writer.write(SEED_TOPIC, START_NS, pose_stamped(START_NS, BASE, run.T_base_seed))
         events = _events(run, scenario)
         for k, entries in _states(run, twin, world):
             t_ns = _at(k)
@@ -93,7 +98,7 @@ def write_recording(
                 writer.write("/dgeval/belief/mask", t_ns, png_message(t_ns, CAMERA_FRAME, images.mask.astype(np.uint8) * 255))
             T_camera_model, cloud = images.T_camera_model, images.model
             if not kept and belief.T_base_object is not None:
-                T_camera_object = invert(world.T_base_hand() @ T_hand_camera) @ belief.T_base_object
+                T_camera_object = invert(world.T_base_hand() @ world.gripper.T_hand_camera) @ belief.T_base_object
                 if first is None:
                     # the model frame is the camera of the first accepted frame, carried with the object
                     first = T_camera_object
@@ -107,7 +112,7 @@ def write_recording(
             if belief.velocity is not None:
                 twist = np.concatenate([belief.velocity, np.zeros(3)])
                 writer.write("/dgeval/belief/velocity", t_ns, twist_stamped(t_ns, BASE, twist))
-            for topic, value in _choice(run, k, t_ns):
+            for topic, value in _choice(run, k, t_ns, world.gripper.drives):
                 writer.write(topic, t_ns, value)
         end = _at(len(run.ticks))
         writer.write("/truth/verdict", end, text(json.dumps(verdict, sort_keys=True)))
@@ -145,7 +150,7 @@ def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scena
         "seed": plan.seed,
         "index": plan.index,
         "gains": scenario.pipeline.servo.gains,
-        **({"grasps": scenario.grasps} if scenario.grasps != "analytic" else {}),
+        **({"grasps": "vfas" if scenario.vfas else scenario.grasps} if scenario.vfas or scenario.grasps != "analytic" else {}),
     }
 
 
@@ -155,10 +160,8 @@ def _at(tick: int) -> int:
 
 def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
     perception = MODELLED if scenario.perception == "modelled" else RENDERED
-    start = {
-        "event": "trial_start",
-        "notes": [perception, GRASPS[scenario.grasps], f"simulated: servo gains {scenario.pipeline.servo.gains}"],
-    }
+    notes = [perception, GRASPS[scenario.grasps], f"simulated: servo gains {scenario.pipeline.servo.gains}"]
+    start = {"event": "trial_start", "notes": VFAS if scenario.vfas else notes}
     out = {0: [("/dgeval/events", text(json.dumps(start)))]}
     if run.close is not None:
         lift = run.close + round((CLOSE_S + SETTLE_S) / CONTROL_S)
@@ -169,7 +172,7 @@ def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
 
 def _states(run: Run, twin: Array, world: World) -> Iterator[tuple[int, list[tuple[str, Any]]]]:
     """Each control period with the world put into its state: joints, command, truth."""
-    names = [*ARM_JOINTS, *JOINT_NAMES]
+    names = [*ARM_JOINTS, *world.gripper.joints]
     where = np.concatenate([world.arm, world.fingers])
     dofs = np.concatenate([world.arm_dof, world.finger_dof])
     touching = None
@@ -187,20 +190,24 @@ def _states(run: Run, twin: Array, world: World) -> Iterator[tuple[int, list[tup
         if k % 10 == 0:
             out.append(("/truth/undisturbed_pose", pose_stamped(t_ns, BASE, matrix_of(twin[k, :7]))))
         forces = world.finger_forces().round(3).tolist()
-        now = {"hand_object": tick.contact, "hand_other": tick.foreign, "finger_force": dict(zip(FINGERS, forces, strict=True))}
+        now = {
+            "hand_object": tick.contact,
+            "hand_other": tick.foreign,
+            "finger_force": dict(zip(world.gripper.fingers, forces, strict=True)),
+        }
         if tick.contact or tick.foreign or touching is not False:
             out.append(("/truth/contacts", text(json.dumps(now))))
         touching = tick.contact or tick.foreign
         yield k, out
 
 
-def _choice(run: Run, k: int, t_ns: int) -> list[tuple[str, Any]]:
+def _choice(run: Run, k: int, t_ns: int, drives: tuple[str, ...]) -> list[tuple[str, Any]]:
     """The grasp chosen, its score and the decision, as of a frame."""
     tick = run.ticks[k]
     out: list[tuple[str, Any]] = []
     if tick.T_base_grasp is not None and tick.preshape is not None:
         out.append(("/dgeval/belief/grasp", pose_stamped(t_ns, BASE, tick.T_base_grasp)))
-        out.append(("/dgeval/belief/grasp_joints", joint_state(t_ns, ACTUATED, tick.preshape)))
+        out.append(("/dgeval/belief/grasp_joints", joint_state(t_ns, drives, tick.preshape)))
     if tick.score is not None:
         out.append(("/dgeval/belief/score", message("std_msgs/Float64", data=tick.score)))
     out.append(("/dgeval/belief/execute", message("std_msgs/Bool", data=tick.execute)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import TracebackType
+from typing import Protocol
 
 import cv2
 import mujoco
@@ -13,7 +14,13 @@ from dgeval.determinism import generator
 from dgeval.errors import UsageError
 from dgeval.physics.scene import BELT_GROUP, Camera
 from dgeval.simulation.sensors import DepthProfile, align_to_colour, colour_from_depth, measure_depth
-from dgeval.simulation.world import World
+
+
+class Seen(Protocol):
+    """A world that can be drawn."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
 
 
 class Eyes:
@@ -23,7 +30,7 @@ class Eyes:
     32 bits: drawing the floor last, and a look-up of bytes, give the same pixels in less time.
     """
 
-    def __init__(self, world: World, cameras: tuple[Camera, Camera], profile: DepthProfile, seed: int, index: int) -> None:
+    def __init__(self, world: Seen, cameras: tuple[Camera, Camera], profile: DepthProfile, seed: int, index: int) -> None:
         self.cameras, self.profile = cameras, profile
         self._world, self._seed, self._index = world, seed, index
         size = cameras[0].intrinsics

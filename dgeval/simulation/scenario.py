@@ -14,10 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from dgeval.config import Config, read_toml, validated
 from dgeval.determinism import generator
 from dgeval.errors import Place, UsageError
+from dgeval.physics.gripper import FIVE_FINGERS, JAW, Gripper
 from dgeval.physics.objects import ObjectModel
 from dgeval.physics.presenter import Presenter
 from dgeval.physics.presenter import drawn as drawn_presenter
 from dgeval.simulation.faults import Faults, draw
+from dgeval.simulation.setting import Turn
 
 PACKAGE = resources.files("dgeval.simulation")
 
@@ -62,8 +64,34 @@ class PresenterConfig(_Section):
     tremor_deg: float = Field(1.5, ge=0, description="degrees, each axis")
 
 
+class TableConfig(_Section):
+    """Several objects on the table (VFAS-Grasp, section IV-A): arrangements, each with half of the objects in turn."""
+
+    arrangements: int = Field(10, ge=1)
+    objects: int = Field(4, ge=1, le=4, description="in an arrangement")
+
+
+class TurntableConfig(_Section):
+    """The object stands on a disc that turns (VFAS-Grasp, section IV-B); each radius is one nominal speed."""
+
+    radii: tuple[float, ...] = Field((0.06, 0.10, 0.14), description="m of the object from the axis")
+    rate: float = Field(2 * np.pi / 10, gt=0, description="rad/s")
+    angle: tuple[float, float] = Field((60.0, 120.0), description="degrees, least and most")
+    start: float = Field(0.5, ge=0, description="s")
+
+
+class SeedConfig(_Section):
+    """The seed grasp: one that is known to hold, as another planner would have found it: with an error."""
+
+    position: float = Field(0.008, ge=0, description="m, each axis, 1 sigma")
+    angle: float = Field(4.0, ge=0, description="degrees, each axis, 1 sigma")
+
+
 class Scenario(_Section):
     name: str
+    table: TableConfig | None = None
+    turntable: TurntableConfig | None = None
+    seed_error: SeedConfig = SeedConfig()
     presenter: PresenterConfig | None = Field(None, description="the object is handed over; default: a belt")
     objects: tuple[str, ...] | None = Field(None, description="default: all ten, or those of --meshes")
     speeds: tuple[float, ...] = (0.0,)
@@ -90,10 +118,22 @@ class Scenario(_Section):
     )
     pipeline: Config = Config()
 
+    @property
+    def vfas(self) -> bool:
+        """Whether VFAS-Grasp's system is simulated: its planner, gripper and objects."""
+        return self.pipeline.pipeline == "vfas"
+
+    @property
+    def gripper(self) -> Gripper:
+        return JAW if self.vfas else FIVE_FINGERS
+
 
 @dataclass(frozen=True)
 class Plan:
-    """One trial as drawn: belt speed m/s along +y with sign, start x, y m and yaw rad of the object, y of the hand."""
+    """One trial as drawn: belt speed m/s along +y with sign, start x, y m and yaw rad of the object, y of the hand.
+
+    others: names, x, y, yaw of what else stands on the table.
+    """
 
     id: str
     object: str
@@ -107,6 +147,8 @@ class Plan:
     index: int
     close_jitter: float = 0.0
     presenter: Presenter | None = None
+    others: tuple[tuple[str, float, float, float], ...] = ()
+    turn: Turn | None = None
 
 
 def load_scenario(name: str) -> Scenario:

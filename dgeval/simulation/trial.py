@@ -13,8 +13,8 @@ from dgeval.config import SelectionConfig
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment
 from dgeval.physics.closing import CONTROL_S, NEAR, TRUTH_STEP
-from dgeval.physics.hand import MAX_SPEED
-from dgeval.simulation.perception import Perceiver, T_hand_camera
+from dgeval.physics.hand import MAX_SPEED, T_hand_camera
+from dgeval.simulation.perception import Perceiver
 from dgeval.simulation.proposals import GraspSource, Proposals
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import FINISH_S, Finish, Finisher, Snapshot, World, home
@@ -87,6 +87,7 @@ class Run:
     close: int | None = None
     finish: Finish | None = None
     preshape: Array = field(default_factory=lambda: OPEN.copy())
+    T_base_seed: Array | None = None
 
 
 def frame_ticks(rate: float, seconds: float) -> list[int]:

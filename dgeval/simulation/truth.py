@@ -54,7 +54,7 @@ class Prover:
     def __init__(self, run: Run, world: World) -> None:
         self.run, self.world = run, world
         seconds = len(run.ticks) * CONTROL_S + AFTER_CLOSE_S
-        self.twin = twin_path(world.thing, run.plan.speed, run.plan.x, run.plan.y, run.plan.yaw, seconds, world.presenter)
+        self.twin = twin_path(world.thing, run.plan.speed, run.plan.x, run.plan.y, run.plan.yaw, seconds, world.setting)
         self.end = run.close if run.close is not None else len(run.ticks) - 1
 
     def closes(self, snapshot: Snapshot, velocity: Array) -> Finish:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -13,19 +14,19 @@ from dgeval.physics.arm import JOINT_NAMES as ARM_JOINTS
 from dgeval.physics.closing import (
     CLOSE_S,
     CONTROL_S,
-    GRASP_CENTRE,
     LIFT_S,
     MAX_FROM_HAND,
     MIN_LIFT,
     SETTLE_S,
     SUBSTEPS,
-    finger_targets,
     finishing_twist,
 )  # fmt: skip
-from dgeval.physics.hand import ACTUATED, FINGERS, JOINT_NAMES, T_hand_palm
+from dgeval.physics.gripper import FIVE_FINGERS, Gripper
+from dgeval.physics.hand import T_hand_palm
 from dgeval.physics.objects import ObjectModel
-from dgeval.physics.presenter import GRIP, Presenter
-from dgeval.physics.scene import Camera, build, least_distance, pose_of
+from dgeval.physics.presenter import GRIP
+from dgeval.physics.scene import TURNTABLE_TOP, Camera, build, least_distance, pose_of
+from dgeval.simulation.setting import Setting, present
 
 HOLD_S = 1.6  # recorded after the lift
 GRIPPED_N, RELEASE_S = 0.3, 0.1  # two fingers pressing this hard for so long, and the presenter lets go
@@ -46,21 +47,27 @@ class World:
     """One compiled world and its state. Times are physics steps from 0; base frame = arm's base."""
 
     def __init__(
-        self, thing: ObjectModel, belt_speed: float, cameras: tuple[Camera, ...] = (), presenter: Presenter | None = None
+        self,
+        thing: ObjectModel,
+        belt_speed: float,
+        cameras: tuple[Camera, ...] = (),
+        setting: Setting | None = None,
+        gripper: Gripper = FIVE_FINGERS,
     ) -> None:
-        self.thing, self.presenter = thing, presenter
-        self.model = build(thing, belt_speed, "arm", cameras, presenter is not None)
+        self.thing, self.gripper, self.setting = thing, gripper, setting or Setting()
+        self.presenter = self.setting.presenter
+        self.model = _built(thing, belt_speed, "arm", cameras, self.setting, gripper)
         self.data = mujoco.MjData(self.model)
-        self.kinematics = ArmKinematics()
+        self.kinematics = ArmKinematics(gripper.T_hand_palm)
         m = self.model
         self.arm = np.array([m.joint(n).qposadr[0] for n in ARM_JOINTS])
         self.arm_dof = np.array([m.joint(n).dofadr[0] for n in ARM_JOINTS])
-        self.fingers = np.array([m.joint(n).qposadr[0] for n in JOINT_NAMES])
-        self.finger_dof = np.array([m.joint(n).dofadr[0] for n in JOINT_NAMES])
+        self.fingers = np.array([m.joint(n).qposadr[0] for n in gripper.joints])
+        self.finger_dof = np.array([m.joint(n).dofadr[0] for n in gripper.joints])
         self.object = int(m.joint("object").qposadr[0])
         self.object_dof = int(m.joint("object").dofadr[0])
         self._arm_drives = np.array([m.actuator(n).id for n in ARM_JOINTS])
-        self._finger_drives = np.array([m.actuator(n).id for n in ACTUATED])
+        self._finger_drives = np.array([m.actuator(n).id for n in gripper.drives])
         solid = [(g, m.geom(g)) for g in range(m.ngeom)]
         self.hand_geoms = [g for g, geom in solid if geom.contype[0] == 2]
         self.object_geoms = [g for g, geom in solid if geom.name.startswith("object_")]
@@ -70,17 +77,17 @@ class World:
         self._is_object[self.object_geoms] = True
         self._size = mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_INTEGRATION)
         self.q_set = np.zeros(7)
-        self.rest = thing.rest_height()
+        self.rest = thing.rest_height() + (TURNTABLE_TOP if self.setting.turn is not None else 0.0)
 
     def start(self, q_arm: Array, preshape: Array, x: float, y: float, yaw: float, object_velocity: float) -> None:
         """Arm and fingers at rest, the object standing on the belt and moving with it, or in the presenter's hand."""
         d = self.data
         mujoco.mj_resetData(self.model, d)
         d.qpos[self.arm] = self.q_set = q_arm.copy()
-        fingers = preshape.reshape(5, 3)
-        d.qpos[self.fingers] = np.concatenate([fingers, fingers[:, 2:]], axis=1).ravel()
+        d.qpos[self.fingers] = self.gripper.positions(preshape)
         d.qpos[self.object : self.object + 7] = [x, y, self.rest, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         d.qvel[self.object_dof + 1] = object_velocity
+        self.setting.put(self.model, d)
         if self.presenter is not None:
             present(self.presenter, d)
             d.qpos[self.object : self.object + 7] = np.concatenate([d.mocap_pos[0], d.mocap_quat[0]])
@@ -128,7 +135,7 @@ class World:
         return pose_of(self.data, "hand_base")
 
     def T_base_palm(self) -> Array:
-        return self.T_base_hand() @ T_hand_palm
+        return self.T_base_hand() @ self.gripper.T_hand_palm
 
     def T_base_object(self) -> Array:
         return pose_of(self.data, "object")
@@ -154,26 +161,28 @@ class World:
         """Least distance of hand and object, m, at most `limit`."""
         m, d = self.model, self.data
         reach = limit + 0.15
-        if np.linalg.norm(transform(self.T_base_hand(), GRASP_CENTRE[None])[0] - d.xpos[m.body("object").id]) > reach + 0.15:
+        if (
+            np.linalg.norm(transform(self.T_base_hand(), self.gripper.centre[None])[0] - d.xpos[m.body("object").id])
+            > reach + 0.15
+        ):
             return limit
         return least_distance(m, d, self.hand_geoms, self.object_geoms, limit)
 
     def finger_forces(self) -> Array:
-        """Sum of normal contact forces on each finger (5,), N."""
-        out = np.zeros(5)
+        """Sum of normal contact forces on each finger, N."""
+        out = np.zeros(len(self.gripper.fingers))
         force = np.zeros(6)
         names = {g: self.model.geom(g).name for g in self.hand_geoms}
         for k in range(self.data.ncon):
             for g in self.data.contact.geom[k]:
                 finger = names.get(int(g), "").split("_")[0]
-                if finger in FINGERS:
+                if finger in self.gripper.fingers:
                     mujoco.mj_contactForce(self.model, self.data, k, force)
-                    out[FINGERS.index(finger)] += abs(force[0])
+                    out[self.gripper.fingers.index(finger)] += abs(force[0])
         return out
 
     def advance(self, steps: int = SUBSTEPS) -> None:
-        if self.presenter is not None:
-            present(self.presenter, self.data)
+        self.setting.drive(self.model, self.data)
         mujoco.mj_step(self.model, self.data, steps)
 
     @property
@@ -189,7 +198,7 @@ class World:
         T = self.T_base_object()
         if T[2, 3] < self.rest + MIN_LIFT or not self.touching()[0] or self.held_by_presenter:
             return False
-        centre = transform(self.T_base_hand(), GRASP_CENTRE[None])[0]
+        centre = transform(self.T_base_hand(), self.gripper.centre[None])[0]
         return bool(np.linalg.norm(T[:3, 3] - centre) < MAX_FROM_HAND)
 
 
@@ -217,7 +226,7 @@ class Finisher:
         since = self.ticks * CONTROL_S
         w = self.world
         dq = w.kinematics.joint_velocity(w.q_set, finishing_twist(since, self.velocity))
-        w.command(dq, finger_targets(since, self.preshape))
+        w.command(dq, w.gripper.targets(since, self.preshape))
         w.advance()
         self.ticks += 1
         if w.held_by_presenter:
@@ -251,27 +260,38 @@ class Finisher:
         return self.result
 
 
-def present(presenter: Presenter, data: mujoco.MjData) -> None:
-    """The presenter's hand to where it is at the data's time."""
-    data.mocap_pos[0], data.mocap_quat[0] = presenter.pose(float(data.time))
+def _built(
+    thing: ObjectModel,
+    belt_speed: float,
+    robot: Literal["arm", "none"],
+    cameras: tuple[Camera, ...],
+    setting: Setting,
+    g: Gripper,
+) -> mujoco.MjModel:
+    others = tuple(o[0] for o in setting.others)
+    presented, turntable = setting.presenter is not None, setting.turn is not None
+    return build(thing, belt_speed, robot, cameras, presented, g.name, others, turntable)
 
 
 def twin_path(
-    thing: ObjectModel, belt_speed: float, x: float, y: float, yaw: float, seconds: float, presenter: Presenter | None = None
+    thing: ObjectModel, belt_speed: float, x: float, y: float, yaw: float, seconds: float, setting: Setting | None = None
 ) -> Array:
     """The object without any robot: rows (pose 7, velocity 6) in MuJoCo's order, one per control period from t = 0."""
-    model = build(thing, belt_speed, "none", presented=presenter is not None)
+    setting = setting or Setting()
+    presenter = setting.presenter
+    model = _built(thing, belt_speed, "none", (), setting, FIVE_FINGERS)
     data = mujoco.MjData(model)
-    data.qpos[:7] = [x, y, thing.rest_height(), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+    z = thing.rest_height() + (TURNTABLE_TOP if setting.turn is not None else 0.0)
+    data.qpos[:7] = [x, y, z, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
     data.qvel[1] = belt_speed
+    setting.put(model, data)
     if presenter is not None:
         present(presenter, data)
         data.qpos[:7] = np.concatenate([data.mocap_pos[0], data.mocap_quat[0]])
     mujoco.mj_forward(model, data)
     rows = [np.concatenate([data.qpos[:7], data.qvel[:6]])]
     for _ in range(round(seconds / CONTROL_S)):
-        if presenter is not None:
-            present(presenter, data)
+        setting.drive(model, data)
         mujoco.mj_step(model, data, SUBSTEPS)
         rows.append(np.concatenate([data.qpos[:7], data.qvel[:6]]))
     return np.array(rows)

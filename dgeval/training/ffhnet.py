@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -21,13 +21,13 @@ from dgeval.physics.closing import GRASP_CENTRE
 from dgeval.physics.hand import T_hand_palm
 from dgeval.physics.objects import procedural_object
 from dgeval.training.grasp_data import GraspData, read_grasps
+from dgeval.training.loop import optimise
 from dgeval.training.views import views_of
 
 Kind = Literal["generator", "evaluator", "evaluator_fingers"]
 # weights of the generator's loss (PAPERS section 1.5): translation, rotation, joints, KL
 W_T, W_R, W_J, W_KL = 100.0, 1.0, 10.0, 0.005
 DROPOUT = 0.3
-SAVE_EVERY = 500  # steps
 CLEARANCE = 0.02  # m above an object's top: a hand whose grasp centre is higher holds nothing
 # shares of an evaluator's batch: held, tried and failed, overlapping, the authors' hard negatives, hands that are far off
 # and hands on their way to a grasp, drawn back along their fingers
@@ -185,36 +185,20 @@ def train(
     """
     network = new_network(kind, settings)
     steps = settings.generator_steps if kind == "generator" else settings.steps
-    optimiser = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
-    about, start = {"kind": kind, **asdict(settings)}, 0
-    if checkpoint.is_file() and (saved := torch.load(checkpoint, weights_only=True))["about"] == about:
-        for part, name in ((network, "network"), (optimiser, "optimiser"), (schedule, "schedule")):
-            part.load_state_dict(saved[name])
-        start = saved["step"]
-    network.train()
-    for step in range(start, steps):
+
+    def loss_of(step: int) -> tuple[Tensor, dict[str, float]]:
         rng = generator(settings.seed, f"train/{kind}", step)
         torch.manual_seed(int(rng.integers(2**31)))
         if isinstance(network, FFHGenerator):
             bps, palms, _ = batch_of(objects, settings.batch, {"held": 1.0}, rng)
-            loss, terms = generator_loss(network, bps, palms, torch.randn(settings.batch, 5))
-        else:
-            bps, palms, label = batch_of(objects, settings.batch, SHARES, rng)
-            loss = 10 * functional.binary_cross_entropy_with_logits(network.logits(bps, palms, DROPOUT), label)
-            terms = {"BCE": float(loss.detach()) / 10}
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-        schedule.step()
-        progress(step + 1, terms)
-        if (step + 1) % SAVE_EVERY == 0 or step + 1 == steps:
-            parts = {"network": network, "optimiser": optimiser, "schedule": schedule}
-            state: dict[str, Any] = {name: part.state_dict() for name, part in parts.items()}
-            part_file = checkpoint.with_suffix(".part")
-            torch.save({**state, "about": about, "step": step + 1}, part_file)
-            part_file.rename(checkpoint)
-    return network.eval()
+            return generator_loss(network, bps, palms, torch.randn(settings.batch, 5))
+        bps, palms, label = batch_of(objects, settings.batch, SHARES, rng)
+        loss = 10 * functional.binary_cross_entropy_with_logits(network.logits(bps, palms, DROPOUT), label)
+        return loss, {"BCE": float(loss.detach()) / 10}
+
+    rates = settings.learning_rate, settings.weight_decay
+    optimise(network, loss_of, steps, rates, {"kind": kind, **asdict(settings)}, checkpoint, progress)
+    return network
 
 
 def calibrate(network: FFHEvaluator, bps: Tensor, palms: Palms, held: Tensor) -> tuple[float, float]:

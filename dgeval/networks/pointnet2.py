@@ -1,0 +1,175 @@
+"""Grasp evaluators of GraspNet's type: PointNet++ on the scene's points and the gripper's, told apart by a label.
+
+Layers by the names of the public PyTorch 6-DoF GraspNet (PAPERS section 4.1), whose checkpoints load; VFAS-Grasp's evaluator
+(section 4.2) is the same network at other sizes, and with the other labels.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+from torch.nn import functional
+
+from dgeval.networks.checkpoints import load_strictly, read_weights
+from dgeval.networks.point_sets import farthest_points, gathered, neighbours_in_ball
+
+CROP_LOW, CROP_HIGH = np.array([-0.10, -0.05, -0.10]), np.array([0.10, 0.05, 0.03])  # m, grasp frame (VFAS section III-B)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What the weights' shapes don't say. centres, neighbours, radii (m) of the first two set abstractions.
+
+    labels: of scene and gripper; jsll 1/0 (the public weights), vfas 0/1. centre: points are given in the grasp's frame, or
+    about the scene's mean. skipped: |p|^2 in m^2 within which no centre lies. scene, gripper: points of each.
+    """
+
+    scale: float = 1.0
+    centres: tuple[int, int] = (128, 32)
+    neighbours: tuple[int, int] = (64, 128)
+    radii: tuple[float, float] = (0.02, 0.04)
+    labels: Literal["jsll", "vfas"] = "jsll"
+    centre: Literal["grasp", "mean"] = "mean"
+    skipped: float = 1e-3
+    scene: int = 1024
+    gripper: int = 6
+
+
+PUBLIC = Sizes()
+VFAS = Sizes(0.5, (64, 16), (24, 24), (0.025, 0.05), "vfas", "grasp", -1.0, 512, 64)
+
+
+class SetAbstraction(nn.Module):
+    """Points gathered round centres, a small network on each, the largest of each channel. Convolutions 1x1 without bias."""
+
+    def __init__(self, inputs: int, widths: tuple[int, int, int]) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for a, b in zip((inputs, *widths), widths, strict=False):
+            layers += [nn.Conv2d(a, b, 1, bias=False), nn.BatchNorm2d(b), nn.ReLU(inplace=True)]
+        self.mlps = nn.ModuleList([nn.Sequential(*layers)])
+
+    def _layer(self, k: int) -> tuple[Tensor, Tensor | None, nn.BatchNorm2d]:
+        """Weight, bias and norm of a layer; in use the norm is a factor and an offset, and is put into the first two."""
+        conv, norm = self.mlps[0][3 * k], self.mlps[0][3 * k + 1]  # type: ignore[index]
+        weight = conv.weight[:, :, 0, 0]
+        if self.training:
+            return weight, None, norm
+        factor = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+        return weight * factor[:, None], norm.bias - norm.running_mean * factor, norm
+
+    def forward(self, xyz: Tensor, features: Tensor | None, near: Tensor | None, centres: Tensor | None) -> Tensor:
+        """xyz (b, n, 3), features (b, n, c); near (b, m, k) the neighbours of centres (b, m, 3), or None: all, no centre.
+
+        Returns (b, m, width). The first layer is linear: it is applied once to each point, and once to each centre.
+        """
+        whole = xyz if features is None else torch.cat([xyz, features], 2)
+        weight, bias, norm = self._layer(0)
+        x = functional.linear(whole, weight, bias)
+        if near is None or centres is None:
+            x = x[:, None]
+        elif not self.training:
+            # the same in one pass over the memory, the rectifier included
+            offsets = functional.linear(centres, weight[:, :3])
+            x = torch.from_numpy(gathered(x.detach().numpy(), offsets.detach().numpy(), near.numpy()))
+        else:
+            b, m, k = near.shape
+            flat = (near + torch.arange(b)[:, None, None] * xyz.shape[1]).reshape(-1)
+            x = x.reshape(-1, x.shape[2]).index_select(0, flat).reshape(b, m, k, -1)
+            x = x - functional.linear(centres, weight[:, :3])[:, :, None]
+        shape = x.shape
+        x = x.reshape(-1, shape[3])
+        for layer in range(3):
+            if layer:
+                weight, bias, norm = self._layer(layer)
+                x = functional.linear(functional.relu(x, inplace=True), weight, bias)
+            if self.training:
+                x = _normalised(norm, x)
+        return functional.relu(x.reshape(*shape[:3], -1).amax(2))
+
+
+def _normalised(norm: nn.BatchNorm2d, x: Tensor) -> Tensor:
+    """(rows, channels): all of a channel's values, whatever pixel they are of."""
+    if norm.training and norm.num_batches_tracked is not None:
+        norm.num_batches_tracked.add_(1)
+    momentum = norm.momentum or 0.1
+    return functional.batch_norm(
+        x, norm.running_mean, norm.running_var, norm.weight, norm.bias, norm.training, momentum, norm.eps
+    )
+
+
+class GraspEvaluator(nn.Module):
+    """Success and confidence of grasps from scene and gripper points. Published sizes by default."""
+
+    def __init__(self, sizes: Sizes = PUBLIC) -> None:
+        super().__init__()
+        self.sizes = sizes
+        w = [int(n * sizes.scale) for n in (64, 128, 256, 512, 1024)]
+        stages = [
+            SetAbstraction(3 + 4, (w[0], w[0], w[1])),
+            SetAbstraction(3 + w[1], (w[1], w[1], w[2])),
+            SetAbstraction(3 + w[2], (w[2], w[2], w[3])),
+        ]
+        dense = [nn.Linear(w[3], w[4]), nn.BatchNorm1d(w[4]), nn.ReLU(True)]
+        dense += [nn.Linear(w[4], w[4]), nn.BatchNorm1d(w[4]), nn.ReLU(True)]
+        self.evaluator = nn.ModuleList([nn.ModuleList(stages), nn.Sequential(*dense)])
+        self.predictions_logits = nn.Linear(w[4], 1)
+        self.confidence = nn.Linear(w[4], 1)
+
+    def forward(self, scene: Tensor, gripper: Tensor) -> tuple[Tensor, Tensor]:
+        """scene (b, n, 3) and gripper (b, m, 3), m, in one frame -> logits (b, 1) and confidence (b, 1) in 0..1."""
+        s = self.sizes
+        xyz = torch.cat([scene, gripper], 1)
+        of_scene, of_gripper = (1.0, 0.0) if s.labels == "jsll" else (0.0, 1.0)
+        label = torch.cat([torch.full_like(scene[:, :, :1], of_scene), torch.full_like(gripper[:, :, :1], of_gripper)], 1)
+        features = torch.cat([xyz, label], 2)
+        stages: Any = self.evaluator[0]
+        for stage, count, wanted, radius in zip(stages[:2], s.centres, s.neighbours, s.radii, strict=True):
+            points = xyz.detach().numpy()
+            chosen = farthest_points(points, count, s.skipped)
+            middle = np.take_along_axis(points, chosen[:, :, None], 1)
+            near = torch.from_numpy(neighbours_in_ball(points, middle, radius, wanted))
+            centres = torch.from_numpy(middle)
+            features = stage(xyz, features, near, centres)
+            xyz = centres
+        whole = stages[2](xyz, features, None, None)[:, 0]
+        dense = self.evaluator[1](whole)
+        return self.predictions_logits(dense), torch.sigmoid(self.confidence(dense))
+
+    @torch.no_grad()
+    def success(self, scene: Tensor, gripper: Tensor, batch: int = 16) -> Tensor:
+        """Probability (b,) that each grasp holds; gripper of one row serves all."""
+        out = []
+        for k in range(0, len(scene), batch):
+            part = scene[k : k + batch]
+            tool = gripper.expand(len(part), -1, -1) if len(gripper) == 1 else gripper[k : k + batch]
+            out.append(torch.sigmoid(self(part, tool)[0][:, 0]))
+        return torch.cat(out)
+
+
+def save_evaluator(network: GraspEvaluator, path: Path) -> None:
+    """Matrices in half precision; sizes beside the weights."""
+    state = {k: (v.half() if v.ndim > 1 else v).contiguous() for k, v in network.state_dict().items()}
+    save_file(state, path, {"sizes": json.dumps(asdict(network.sizes))})
+
+
+def load_evaluator(path: Path) -> GraspEvaluator:
+    """A public checkpoint (`latest_net.pth` of 6-DoF GraspNet) or safetensors of `save_evaluator`."""
+    weights = read_weights(path, "model_state_dict")
+    sizes = PUBLIC
+    if path.suffix == ".safetensors":
+        with safe_open(path, "pt") as file:
+            said = json.loads((file.metadata() or {}).get("sizes", "{}"))
+        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in said.items()}
+        sizes = replace(PUBLIC, **values)
+    network = GraspEvaluator(sizes)
+    load_strictly(network, weights, str(path))
+    return network

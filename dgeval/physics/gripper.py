@@ -1,0 +1,47 @@
+"""What differs between the grippers that the simulator's world can carry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dgeval.geometry import Array
+from dgeval.physics import closing, hand, jaw
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """joints: all, in the order of joint states; drives: those with a drive; fingers: first words of geoms' names.
+
+    T_hand_palm: the frame of grasps; T_hand_camera: its colour camera, as calibrated; centre (3,) m in hand_base: where held
+    things are. positions: all joints of a preshape; targets: of the drives, s after the close command.
+    """
+
+    name: Literal["fingers", "jaw"]
+    joints: tuple[str, ...]
+    drives: tuple[str, ...]
+    fingers: tuple[str, ...]
+    T_hand_palm: Array
+    T_hand_camera: Array
+    centre: Array
+    positions: Callable[[Array], Array]
+    targets: Callable[[float, Array], Array]
+
+
+def _coupled(preshape: Array) -> Array:
+    """The last joint of each finger follows the one before it."""
+    fingers = preshape.reshape(5, 3)
+    return np.concatenate([fingers, fingers[:, 2:]], axis=1).ravel()
+
+
+FIVE_FINGERS = Gripper(
+    "fingers", hand.JOINT_NAMES, hand.ACTUATED, hand.FINGERS, hand.T_hand_palm, hand.T_hand_camera,
+    closing.GRASP_CENTRE, _coupled, closing.finger_targets,
+)  # fmt: skip
+JAW = Gripper(
+    "jaw", jaw.JOINT_NAMES, jaw.JOINT_NAMES, jaw.FINGERS, jaw.T_hand_grasp, jaw.T_hand_camera,
+    jaw.T_hand_grasp[:3, 3], np.copy, jaw.finger_targets,
+)  # fmt: skip

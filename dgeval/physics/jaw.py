@@ -1,0 +1,103 @@
+"""A parallel-jaw gripper: two fingers of a proximal and a distal link that slide towards each other. Dimensions are ours.
+
+VFAS-Grasp's gripper is a four-bar linkage of unknown size, whose fingertips stay parallel; slides stand in for it.
+Grasp frame: origin between the fingertips, 10 mm behind their ends, +z the approach, +x the closing direction (the paper's
+Figure 3). Hand frame `hand_base`: at the flange, the same axes. Metres, radians.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dgeval.geometry import Array
+from dgeval.physics.hand import place
+
+OPENING = 0.10  # m between the pads
+TRAVEL = OPENING / 2  # m, of each finger
+JOINT_NAMES = ("left_jaw", "right_jaw")
+FINGERS = ("left", "right")
+# half sizes and centres in the grasp frame; of the fingers when closed, for the one at +x
+PALM = ((0.052, 0.030, 0.030), (0.0, 0.0, -0.110))
+DISTAL = ((0.006, 0.011, 0.022), (0.006, 0.0, -0.012))
+PROXIMAL = ((0.009, 0.010, 0.024), (0.011, 0.0, -0.057))
+GRIP_FORCE = 20.0  # N, each finger
+STIFFNESS = 1500.0  # N/m
+CLOSE_SPEED = 0.15  # m/s of each finger
+PRESSED = -0.02  # m; where the fingers are sent to; the limited force stops them on the object
+CLOSE_S = TRAVEL / CLOSE_SPEED + 0.15  # ramp, and time to grip
+OPEN = np.full(2, TRAVEL)
+T_hand_grasp = np.eye(4)
+T_hand_grasp[2, 3] = 0.14
+# The camera behind and above the fingers, tilted so that a point 10 cm before the fingertips is in the middle; ours.
+T_hand_camera = np.eye(4)
+T_hand_camera[:3, :3] = Rotation.from_euler("x", -20, degrees=True).as_matrix()
+T_hand_camera[:3, 3] = (0.0, -0.07, 0.03)
+
+
+def add_gripper(spec: mujoco.MjSpec, hand_base: mujoco.MjsBody) -> None:
+    """Put palm, fingers and their drives into a spec, below the body `hand_base`; the fingers move alike.
+
+    Contact as the five-finger hand's: contype 2, conaffinity 1.
+    """
+    hand_base.gravcomp = 1
+    offset = T_hand_grasp[:3, 3]
+    palm = hand_base.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=PALM[0], pos=offset + PALM[1], mass=0.7, name="palm")
+    _solid(palm, (0.34, 0.35, 0.38, 1))
+    place(hand_base.add_site(name="grasp_link", size=[0.002] * 3, group=4), T_hand_grasp)
+    for name, side in zip(JOINT_NAMES, (1.0, -1.0), strict=True):
+        finger = hand_base.add_body(name=name, pos=offset, gravcomp=1)
+        finger.add_joint(
+            name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[side, 0, 0], range=[0, TRAVEL], limited=True, damping=20,
+            armature=0.1,
+        )  # fmt: skip
+        for part, (half, centre) in (("distal", DISTAL), ("proximal", PROXIMAL)):
+            geom = finger.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                size=half,
+                pos=[side * centre[0], *centre[1:]],
+                mass=0.05,
+                name=f"{name.removesuffix('_jaw')}_{part}",
+            )
+            _solid(geom, (0.25, 0.26, 0.28, 1) if part == "distal" else (0.45, 0.46, 0.49, 1))
+        drive = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        drive.set_to_position(kp=STIFFNESS, kv=30.0)
+        drive.forcelimited, drive.forcerange = True, [-GRIP_FORCE, GRIP_FORCE]
+    couple = spec.add_equality(
+        type=mujoco.mjtEq.mjEQ_JOINT, name1=JOINT_NAMES[0], name2=JOINT_NAMES[1], objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        solref=[0.004, 1],
+    )  # fmt: skip
+    couple.data = [0, 1, *[0] * (len(couple.data) - 2)]
+
+
+def _solid(geom: mujoco.MjsGeom, rgba: tuple[float, float, float, float]) -> None:
+    geom.contype, geom.conaffinity, geom.condim, geom.priority = 2, 1, 4, 1
+    geom.friction, geom.solref, geom.solimp = [0.9, 0.005, 0.0001], [0.006, 1], [0.9, 0.97, 0.001, 0.5, 2]
+    geom.rgba = rgba
+
+
+def finger_targets(since_close: float, preshape: Array) -> Array:
+    """Finger drives (2,) m a time after the close command, s."""
+    return np.asarray(np.clip(preshape - CLOSE_SPEED * max(since_close, 0.0), PRESSED, TRAVEL))
+
+
+def link_points(n: int, rng: np.random.Generator, opening: float = OPENING) -> Array:
+    """Points (n, 3) m, grasp frame, uniform on the surfaces of the proximal and distal links of an open gripper.
+
+    The gripper's cloud of VFAS-Grasp (section III-B).
+    """
+    boxes = [
+        (np.array(half), np.array([side * (centre[0] + opening / 2), *centre[1:]]))
+        for half, centre in (DISTAL, PROXIMAL)
+        for side in (1.0, -1.0)
+    ]
+    areas = np.array([[h[1] * h[2], h[0] * h[2], h[0] * h[1]] for h, _ in boxes])  # of a face across each axis
+    which = rng.choice(areas.size, n, p=areas.ravel() / areas.sum())
+    out = np.empty((n, 3))
+    for i, cell in enumerate(which):
+        half, centre = boxes[cell // 3]
+        point = rng.uniform(-1, 1, 3)
+        point[cell % 3] = rng.choice([-1.0, 1.0])
+        out[i] = centre + point * half
+    return out

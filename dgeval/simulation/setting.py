@@ -1,0 +1,50 @@
+"""What a trial's object stands among: other objects, a turntable, a presenter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from dgeval.physics.objects import ObjectModel
+from dgeval.physics.presenter import Presenter
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A turntable: at rest until `start` s, then at `speed` rad/s (signed) through `angle` rad (> 0), then at rest."""
+
+    start: float
+    speed: float
+    angle: float
+
+    def speed_at(self, t: float) -> float:
+        return self.speed if self.start <= t < self.start + self.angle / abs(self.speed) else 0.0
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What stands about beside the object and its belt: other objects with x, y m and yaw rad; a presenter; a turntable."""
+
+    others: tuple[tuple[ObjectModel, float, float, float], ...] = ()
+    presenter: Presenter | None = None
+    turn: Turn | None = None
+
+    def put(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """The other objects to where they stand, at the start."""
+        for k, (other, x, y, yaw) in enumerate(self.others):
+            at = int(model.joint(f"other_{k}").qposadr[0])
+            data.qpos[at : at + 7] = [x, y, other.rest_height(), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+
+    def drive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Presenter and turntable as they are at the data's time; before each step."""
+        if self.presenter is not None:
+            present(self.presenter, data)
+        if self.turn is not None:
+            data.ctrl[model.actuator("turntable").id] = self.turn.speed_at(float(data.time))
+
+
+def present(presenter: Presenter, data: mujoco.MjData) -> None:
+    """The presenter's hand to where it is at the data's time."""
+    data.mocap_pos[0], data.mocap_quat[0] = presenter.pose(float(data.time))

@@ -1,0 +1,87 @@
+"""Trials of VFAS-Grasp's three experiments as drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgeval.determinism import generator
+from dgeval.errors import UsageError
+from dgeval.geometry import Array
+from dgeval.physics.objects import ObjectModel
+from dgeval.physics.presenter import Presenter
+from dgeval.physics.presenter import drawn as drawn_presenter
+from dgeval.physics.scene import TURNTABLE_CENTRE
+from dgeval.simulation.faults import Faults
+from dgeval.simulation.scenario import Plan, Scenario
+from dgeval.simulation.setting import Turn
+
+PLACES_X, PLACES_Y, GAP = (0.36, 0.60), (-0.26, 0.26), 0.025  # m; where objects stand, and what is free between them
+HANDOVER_START = np.array([0.36, 0.0, 0.42])  # m, where the gripper waits, looking 50 degrees down; ours
+HANDOVER_PITCH = np.radians(140.0)
+
+
+def plan_vfas(scenario: Scenario, things: dict[str, ObjectModel], seed: int, index: int) -> Plan:
+    """Trial `index`. Table: arrangements, and in each every object once as the target; else objects and radii in turn."""
+    rng = generator(seed, f"plan/{scenario.name}", index)
+    names = scenario.objects or tuple(things)
+    missing = [n for n in names if n not in things]
+    if missing:
+        raise UsageError(f"scenario: no object {missing[0]!r}", hint=f"known: {', '.join(things)}")
+    yaw = float(rng.uniform(-np.pi, np.pi))
+    if scenario.table is not None:
+        count = scenario.table.objects
+        arrangement, target = index // count % scenario.table.arrangements, index % count
+        chosen = [names[(arrangement % 2 * count + k) % len(names)] for k in range(count)]
+        places = arranged([things[n] for n in chosen], generator(seed, f"arrangement/{scenario.name}", arrangement))
+        others = tuple((n, *p) for k, (n, p) in enumerate(zip(chosen, places, strict=True)) if k != target)
+        x, y, yaw = places[target]
+        name = chosen[target]
+        return Plan(f"{name}-{arrangement:02d}-{index:04d}", name, 0.0, x, y, yaw, 0.0, Faults(), seed, index, others=others)
+    name = names[index % len(names)]
+    if scenario.turntable is not None:
+        t = scenario.turntable
+        radius = t.radii[index // len(names) % len(t.radii)]
+        place = rng.uniform(-np.pi, np.pi)
+        sign = 1.0 if rng.random() < 0.5 else -1.0
+        turn = Turn(t.start, sign * t.rate, float(np.radians(rng.uniform(*t.angle))))
+        x, y = TURNTABLE_CENTRE[0] + radius * np.cos(place), TURNTABLE_CENTRE[1] + radius * np.sin(place)
+        trial = f"{name}-{round(radius * t.rate * 1000):03d}-{index:04d}"
+        return Plan(trial, name, 0.0, float(x), float(y), yaw, 0.0, Faults(), seed, index, turn=turn)
+    if scenario.presenter is None:
+        raise UsageError(f"scenario {scenario.name!r}: no table, turntable or presenter", hint="the pipeline vfas needs one")
+    presenter = _presented(scenario, things[name], rng, yaw)
+    return Plan(f"{name}-{index:04d}", name, 0.0, 0.0, 0.0, yaw, 0.0, Faults(), seed, index, presenter=presenter)
+
+
+def arranged(things: list[ObjectModel], rng: np.random.Generator) -> list[tuple[float, float, float]]:
+    """x, y, yaw of upright objects that stand clear of each other; UsageError where they don't fit."""
+    reach = [float(np.linalg.norm(t.extent()[:2])) / 2 for t in things]
+    for _ in range(2000):
+        xy = np.column_stack([rng.uniform(*PLACES_X, len(things)), rng.uniform(*PLACES_Y, len(things))])
+        apart = np.linalg.norm(xy[:, None] - xy[None], axis=2) - np.add.outer(reach, reach)
+        if (apart[np.triu_indices(len(things), 1)] > GAP).all():
+            yaws = rng.uniform(-np.pi, np.pi, len(things))
+            return [(float(x), float(y), float(a)) for (x, y), a in zip(xy, yaws, strict=True)]
+    raise UsageError("an arrangement's objects don't fit on the table", hint="fewer objects")
+
+
+def waiting_pose() -> Array:
+    """T_base_grasp of the gripper that waits for a handover: looking forward and down, its jaws horizontal."""
+    approach = np.array([np.sin(HANDOVER_PITCH), 0.0, np.cos(HANDOVER_PITCH)])
+    closing = np.array([0.0, 1.0, 0.0])
+    T = np.eye(4)
+    T[:3, :3] = np.column_stack([closing, np.cross(approach, closing), approach])
+    T[:3, 3] = HANDOVER_START
+    return T
+
+
+def _presented(scenario: Scenario, thing: ObjectModel, rng: np.random.Generator, yaw: float) -> Presenter:
+    """To where the gripper looks: the upper part of the object comes to the seed, give or take 3 cm."""
+    assert scenario.presenter is not None
+    c = scenario.presenter
+    some = drawn_presenter(rng, thing.extent(), 0.0, 0.0, yaw, c.tremor_m, np.radians(c.tremor_deg))
+    T = waiting_pose()
+    seed = T[:3, 3] + scenario.pipeline.vfas.search_ahead * T[:3, 2]
+    end = seed + rng.uniform(-0.03, 0.03, 3) - [0.0, 0.0, thing.extent()[2] / 2 - 0.02]
+    start = end + some.start - some.end
+    return Presenter(start, end, some.arrive, yaw, some.phases, some.metres, some.radians)

@@ -1,0 +1,176 @@
+"""One VFAS trial in closed loop: the stages that replay runs, on images drawn at the planner's rate."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib import resources
+
+import cv2
+import numpy as np
+
+from dgeval.config import Config
+from dgeval.determinism import generator
+from dgeval.geometry import Array, increment, matrix_from_pose, rotation_angle
+from dgeval.physics.closing import CONTROL_S, NEAR, TRUTH_STEP
+from dgeval.physics.jaw import OPEN
+from dgeval.physics.objects import at
+from dgeval.physics.urdf import robot_urdf
+from dgeval.recording.description import load_description
+from dgeval.recording.frame import Frame
+from dgeval.simulation.jaw_grasps import search
+from dgeval.simulation.render import Eyes
+from dgeval.simulation.scenario import Plan, Scenario
+from dgeval.simulation.seeing import Images, encode, hand_shapes
+from dgeval.simulation.trial import MAX_TWIST, REACHED, FrameBelief, Run, Tick, frame_ticks
+from dgeval.simulation.vfas_plan import waiting_pose
+from dgeval.simulation.world import FINISH_S, Finish, Finisher, World
+from dgeval.stages.schedule import Delayed
+from dgeval.stages.vfas import Selected
+from dgeval.stages.vfas_loop import VfasLoop, proportional_twist
+
+ARRIVED_M, ADVANCE_S = 0.003, 3.0  # the last advance ends within so much of the grasp, or after so long
+NEAR_HOME = np.array([0.0, -0.37, 0.0, 2.32, 0.0, -1.19, 0.0])  # where inverse kinematics starts from
+WAYPOINTS = 6  # of the advance, looked at for obstacles
+
+
+@dataclass(frozen=True)
+class Seed:
+    """T_base_seed (None in a handover: ahead of the gripper) and the arm's joints (7,) before it."""
+
+    T_base_seed: Array | None
+    q_arm: Array
+
+
+def known_jaw_grasps(world: World) -> list[Array]:
+    """T_object_grasp of the shipped ones of the eight objects; for others a search of some seconds."""
+    shipped = json.loads((resources.files("dgeval.simulation") / "known_jaw_grasps.json").read_text(encoding="utf-8"))
+    if world.thing.name in shipped:
+        return [matrix_from_pose(np.array(g)) for g in shipped[world.thing.name]]
+    return search(world.thing, 12, 5)
+
+
+def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
+    """A known grasp in reach with a free way to it, and the error of the planner that proposes it; None: there is none."""
+    rng = generator(plan.seed, f"seed/{scenario.name}", plan.index)
+    if world.presenter is not None:
+        q, residual = world.kinematics.solve(waiting_pose(), NEAR_HOME)
+        return Seed(None, q) if residual < REACHED else None
+    world.start(NEAR_HOME, OPEN, plan.x, plan.y, plan.yaw, 0.0)
+    T_base_object = world.T_base_object()
+    known = known_jaw_grasps(world)
+    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])  # the same grasp, the camera on the other side
+    back = at(0, 0, -scenario.pipeline.vfas.pregrasp)
+    for k in rng.permutation(2 * len(known)):
+        T = T_base_object @ known[k // 2] @ (half_turn if k % 2 else np.eye(4))
+        q, residual = world.kinematics.solve(T @ back, NEAR_HOME)
+        if residual > REACHED:
+            continue
+        free = True
+        for share in np.linspace(1.0, 0.0, WAYPOINTS):
+            T_way = T @ at(0, 0, -share * scenario.pipeline.vfas.pregrasp)
+            world.q_set = q if share == 1.0 else world.q_set
+            free = free and world.put_arm(T_way) < REACHED and not any(world.touching())
+        if free:
+            error = scenario.seed_error
+            xi = np.concatenate([rng.normal(0, error.position, 3), rng.normal(0, np.radians(error.angle), 3)])
+            T_seed = T @ increment(xi)
+            q_seed, residual = world.kinematics.solve(T_seed @ back, q)
+            if residual < REACHED:
+                return Seed(T_seed, q_seed)
+    return None
+
+
+def run_vfas(plan: Plan, scenario: Scenario, world: World, eyes: Eyes) -> tuple[Run, dict[int, Images]]:
+    """Simulate one trial to 1.6 s after the lift, or until it gives up. Also gives the images, by frame."""
+    run = Run(plan, preshape=OPEN.copy())
+    kept: dict[int, Images] = {}
+    config = scenario.pipeline.model_copy(update={"seed": plan.seed * 100_003 + plan.index})
+    seed = seed_for(plan, scenario, world)
+    world.start(NEAR_HOME if seed is None else seed.q_arm, OPEN, plan.x, plan.y, plan.yaw, 0.0)
+    if seed is None:
+        run.ticks.append(Tick(world.save(), None, None, None, np.zeros(3), np.zeros(6), None, False, False, False, None))
+        return run, kept
+    run.T_base_seed = seed.T_base_seed
+    look = _Look(scenario, config, world, eyes, kept)
+    loop = VfasLoop(config, seed.T_base_seed)
+    arriving: Delayed[Selected] = Delayed(config.schedule.perception_latency_s)
+    frames = set(frame_ticks(scenario.camera.rate, scenario.max_seconds + FINISH_S + 1))
+    turn = world.setting.turn
+    stopped = 0.0 if turn is None else turn.start + turn.angle / abs(turn.speed)
+    finisher: Finisher | None = None
+    advancing: int | None = None
+    n_frame = tick = 0
+    while True:
+        t_ns = round(tick * CONTROL_S * 1e9)
+        if tick in frames:
+            frame = look.frame(n_frame, t_ns)
+            if advancing is None:
+                assert frame.T_base_camera is not None
+                selected = loop.step(frame, frame.T_base_camera, tick * CONTROL_S >= stopped)
+                if selected is not None:
+                    arriving.step(t_ns, selected)
+            run.frames.append(FrameBelief(n_frame, tick, True, None, loop.velocity))
+            n_frame += 1
+        newest = arriving.at(t_ns)
+        snapshot = world.save()
+        contact, foreign = world.touching()
+        still = np.zeros(3)
+        if finisher is not None:
+            run.ticks.append(Tick(snapshot, None, None, None, still, np.zeros(6), None, True, contact, foreign, None))
+            finisher.step()
+            tick += 1
+            if finisher.ticks * CONTROL_S >= FINISH_S:
+                assert finisher.result is not None
+                run.finish = Finish(finisher.result.success, finisher.height)
+                return run, kept
+            continue
+        hand = world.T_base_palm()
+        twist, score, T_grasp, execute = np.zeros(6), None, None, False
+        if newest is not None:
+            chosen = newest[1]
+            T_grasp, execute = chosen.T_base_seed, chosen.execute
+            score = None if np.isnan(chosen.score) else chosen.score
+            demanded = proportional_twist(hand, chosen.T_base_goal, config.vfas.gain)
+            twist = demanded * min(1.0, float((MAX_TWIST / (np.abs(demanded) + 1e-12)).min()))
+            if execute and advancing is None:
+                advancing = tick
+        distance = world.hand_distance(NEAR) if tick % TRUTH_STEP == 0 else None
+        run.ticks.append(Tick(snapshot, None, T_grasp, run.preshape, still, twist, score, execute, contact, foreign, distance))
+        if advancing is not None and T_grasp is not None:
+            left = float(np.linalg.norm(hand[:3, 3] - T_grasp[:3, 3])) + 0.1 * rotation_angle(hand[:3, :3].T @ T_grasp[:3, :3])
+            if left < ARRIVED_M or (tick - advancing) * CONTROL_S > ADVANCE_S:
+                run.close = tick
+                finisher = Finisher(world, still, run.preshape)
+                finisher.step()
+                tick += 1
+                continue
+        world.command(world.kinematics.joint_velocity(world.q_set, twist), OPEN)
+        world.advance()
+        tick += 1
+        if tick * CONTROL_S > scenario.max_seconds or world.data.qpos[world.object + 2] < -0.1:
+            return run, kept
+
+
+class _Look:
+    """Frames as replay will read them: colour through JPEG, depth in counts, the hand's solids as the description has them."""
+
+    def __init__(self, scenario: Scenario, config: Config, world: World, eyes: Eyes, kept: dict[int, Images]) -> None:
+        self._eyes, self._world, self._kept = eyes, world, kept
+        self._quality = scenario.camera.jpeg_quality
+        T_hand_camera = world.gripper.T_hand_camera
+        urdf = robot_urdf(T_hand_camera, world.gripper)
+        self._hand = load_description(urdf, "the simulated robot", (), config.self_filter.radius_default)
+
+    def frame(self, index: int, t_ns: int) -> Frame:
+        colour, depth = self._eyes.look(index)
+        jpeg = encode(colour, self._quality)
+        self._kept[index] = Images(jpeg, depth, None)
+        decoded = np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)[:, :, ::-1]
+        world = self._world
+        T_base_camera = world.T_base_hand() @ world.gripper.T_hand_camera
+        metres = depth.astype(np.float32) * np.float32(self._eyes.profile.depth_unit)
+        return Frame(
+            index, t_ns, np.ascontiguousarray(decoded), metres, self._eyes.cameras[0].intrinsics, T_base_camera,
+            world.T_base_palm(), hand_shapes(self._hand, world, T_base_camera),
+        )  # fmt: skip

@@ -1,0 +1,79 @@
+"""VFAS-Grasp's motion field: optical flow lifted with depth, the camera's own motion taken out, averaged near the grasp.
+
+OpenCV's DIS stands in for GMFlow (a transformer on a GPU); `flow` is the seam for another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.geometry import Array, Intrinsics, transform
+
+Grey = NDArray[np.uint8]
+Flow = Callable[[Grey, Grey], NDArray[np.float32]]  # two grey images (h, w) -> displacement (h, w, 2) px of the first's pixels
+MOST = 4000  # pixels that are lifted
+LEAST = 10  # points without which there is no motion to tell
+TRIM = 0.2  # share left out at each end, along each axis: flow across an edge ends on another surface
+
+
+def dis_flow() -> Flow:
+    """Dense inverse search (Kroeger, ECCV 2016), OpenCV's medium preset."""
+    method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    return lambda before, now: np.asarray(method.calc(before, now, None), dtype=np.float32)
+
+
+class MotionField:
+    """Mean velocity of the scene about a place, from each two successive frames."""
+
+    def __init__(self, flow: Flow) -> None:
+        self._flow = flow
+        self._before: tuple[int, Grey, NDArray[np.float32], Array] | None = None
+
+    def step(
+        self,
+        t_ns: int,
+        colour: NDArray[np.uint8],
+        depth: NDArray[np.float32],
+        camera: Intrinsics,
+        T_base_camera: Array,
+        centre: Array,
+        radius: float,
+    ) -> Array | None:
+        """Velocity (3,) m/s in the base frame of what is within radius m of centre (3,); None: too few points, first frame.
+
+        colour (h, w, 3), depth (h, w) m, 0 for none. Both ends of the flow are lifted with their own frame's depth and
+        camera pose, so that a moving wrist is not a moving object (PAPERS B5).
+        """
+        grey = np.ascontiguousarray(cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY))
+        before, self._before = self._before, (t_ns, grey, depth, T_base_camera)
+        if before is None or t_ns <= before[0]:
+            return None
+        then_ns, then_grey, then_depth, T_then = before
+        v, u = np.nonzero(then_depth > 0)
+        step = max(1, len(u) // (4 * MOST))
+        v, u = v[::step], u[::step]
+        start = transform(T_then, camera.backproject(u, v, then_depth[v, u].astype(float)))
+        near = np.flatnonzero(((start - centre) ** 2).sum(axis=1) < radius**2)
+        if len(near) < LEAST:
+            return None
+        near = near[:: max(1, len(near) // MOST)]
+        u, v, start = u[near], v[near], start[near]
+        moved = self._flow(then_grey, grey)[v, u]
+        to_u, to_v = u + moved[:, 0], v + moved[:, 1]
+        iu, iv = np.rint(to_u).astype(int), np.rint(to_v).astype(int)
+        inside = (iu >= 0) & (iv >= 0) & (iu < camera.width) & (iv < camera.height)
+        z = np.zeros(len(iu))
+        z[inside] = depth[iv[inside], iu[inside]]
+        # what jumps by more than a hand's breadth between two frames has been lifted onto another surface
+        end = transform(T_base_camera, camera.backproject(to_u, to_v, z))
+        way = end - start
+        good = (z > 0) & (np.linalg.norm(way, axis=1) < radius)
+        if good.sum() < LEAST:
+            return None
+        ordered = np.sort(way[good], axis=0)
+        cut = int(TRIM * len(ordered))
+        return np.asarray(ordered[cut : len(ordered) - cut].mean(axis=0) / ((t_ns - then_ns) * 1e-9))

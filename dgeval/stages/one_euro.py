@@ -1,0 +1,73 @@
+"""The 1€ filter (Casiez, Roussel, Vogel, CHI 2012), of numbers and of poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgeval.config import OneEuroConfig
+from dgeval.geometry import Array, interpolate_pose, matrix_from_pose, pose_from_matrix, rotation_angle
+
+
+def smoothing(cutoff: float | Array, seconds: float) -> float | Array:
+    """alpha of a first-order low-pass of a cutoff, Hz, over one period."""
+    return 1.0 / (1.0 + 1.0 / (2 * np.pi * cutoff * seconds))
+
+
+@dataclass
+class OneEuroFilter:
+    """Of numbers or arrays, each entry by itself. min_cutoff and d_cutoff Hz, beta s per unit: cutoff = min + beta |speed|."""
+
+    min_cutoff: float = 1.0
+    beta: float = 0.0
+    d_cutoff: float = 1.0
+    value: Array | None = None
+    speed: Array | None = None
+
+    def step(self, x: Array, seconds: float) -> Array:
+        """Filtered x, `seconds` after the sample before it; the first one passes as it is."""
+        x = np.asarray(x, dtype=float)
+        if self.value is None or self.speed is None:
+            self.value, self.speed = x, np.zeros_like(x)
+            return x
+        # the author's later code: the speed is against the FILTERED value before
+        a = smoothing(self.d_cutoff, seconds)
+        self.speed = a * (x - self.value) / seconds + (1 - a) * self.speed
+        alpha = smoothing(self.min_cutoff + self.beta * np.abs(self.speed), seconds)
+        self.value = alpha * x + (1 - alpha) * self.value
+        return self.value
+
+
+class PoseFilter:
+    """Position by axis; rotation by slerp, its cutoff from the filtered angular speed (ours: the paper says "a simple
+    low pass filter" of the pose and gives no parameters, PAPERS 7)."""
+
+    def __init__(self, config: OneEuroConfig) -> None:
+        self._config = config
+        self._position = OneEuroFilter(config.position_cutoff, config.position_beta, config.d_cutoff)
+        self._rotation: Array | None = None
+        self._turning = 0.0
+
+    def shift(self, offset: Array) -> None:
+        """Carry the state along with an object that is known to have moved by offset (3,) m."""
+        if self._position.value is not None:
+            self._position.value = self._position.value + offset
+
+    def step(self, T: Array, seconds: float) -> Array:
+        """Filtered pose (4, 4), `seconds` after the one before it."""
+        out = np.eye(4)
+        out[:3, 3] = self._position.step(T[:3, 3], seconds)
+        if self._rotation is None:
+            self._rotation = T[:3, :3]
+        else:
+            c = self._config
+            a = smoothing(c.d_cutoff, seconds)
+            self._turning = float(a * rotation_angle(self._rotation.T @ T[:3, :3]) / seconds + (1 - a) * self._turning)
+            alpha = float(smoothing(c.rotation_cutoff + c.rotation_beta * self._turning, seconds))
+            before, now = np.eye(4), np.eye(4)
+            before[:3, :3], now[:3, :3] = self._rotation, T[:3, :3]
+            between = interpolate_pose(pose_from_matrix(before), pose_from_matrix(now), alpha)
+            self._rotation = matrix_from_pose(between)[:3, :3]
+        out[:3, :3] = self._rotation
+        return out

@@ -1,0 +1,115 @@
+"""One VFAS iteration from a frame: the wrist camera's cloud without the gripper, the motion field, sampling, the command."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from dgeval.config import Config
+from dgeval.determinism import generator
+from dgeval.geometry import Array, invert, rotation_vector, transform
+from dgeval.networks.pointnet2 import GraspEvaluator, load_evaluator
+from dgeval.physics.jaw import OPENING
+from dgeval.recording.frame import Frame
+from dgeval.stages.motion_field import MotionField, dis_flow
+from dgeval.stages.self_filter import hand_pixels
+from dgeval.stages.vfas import GraspJudge, Selected, Vfas, perturbed
+
+FAR = 0.8  # m; what lies behind is no scene to grasp from
+MOST_PIXELS = 40_000
+SAMPLED = 256  # poses a seed is chosen from
+
+
+@cache
+def evaluator_of(path: str | None) -> GraspEvaluator:
+    """The evaluator of a file of weights, the shipped one without."""
+    shipped = Path(str(resources.files("dgeval.networks") / "weights" / "vfas_evaluator.safetensors"))
+    return load_evaluator(shipped if path is None else Path(path))
+
+
+def scene_cloud(frame: Frame, T_base_camera: Array, margin: float) -> Array:
+    """Points (n, 3) of a frame without the robot's own hand, base frame."""
+    depth = frame.depth
+    valid = (depth > 0) & (depth < FAR)
+    if frame.hand is not None:
+        valid &= ~hand_pixels(depth, (0, 0), frame.camera, frame.hand, margin)
+    v, u = np.nonzero(valid)
+    step = max(1, round(len(v) / MOST_PIXELS))
+    v, u = v[::step], u[::step]
+    return transform(T_base_camera, frame.camera.backproject(u, v, depth[v, u].astype(np.float64)))
+
+
+def seed_from_cloud(cloud: Array, judge: GraspJudge, T_base_camera: Array, seed: int) -> Array | None:
+    """The best of grasps drawn on a cloud, T_base_grasp: about its points, across what is narrow; None where none fits.
+
+    Stands in for Contact-GraspNet where no seed is given.
+    """
+    rng = generator(seed, "vfas seed", 0)
+    poses = []
+    for _ in range(SAMPLED):
+        target = cloud[rng.integers(len(cloud))]
+        R = perturbed(T_base_camera[None], np.zeros(3), np.radians(40), rng)[0][:3, :3]
+        turn = rng.uniform(0, np.pi)
+        R = R @ np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R, target
+        local = transform(invert(T), cloud)
+        slab = local[(np.abs(local[:, 1]) < 0.011) & (np.abs(local[:, 2]) < 0.02) & (np.abs(local[:, 0]) < 0.07)]
+        if len(slab) > 5 and np.ptp(slab[:, 0]) < OPENING:
+            T[:3, 3] += R @ [float(slab[:, 0].min() + slab[:, 0].max()) / 2, 0, rng.uniform(0.0, 0.02)]
+            poses.append(T)
+    if not poses:
+        return None
+    quality = judge.quality(cloud[rng.permutation(len(cloud))], np.array(poses), None)
+    return poses[int(np.argmax(quality))]
+
+
+def proportional_twist(T_base_hand: Array, T_base_goal: Array, gain: float) -> Array:
+    """Twist (6,) m/s, rad/s, base axes at the hand's origin: the error by a gain, 1/s (the paper's Cartesian controller)."""
+    turn = rotation_vector(T_base_goal[:3, :3] @ T_base_hand[:3, :3].T)
+    return np.asarray(gain * np.concatenate([T_base_goal[:3, 3] - T_base_hand[:3, 3], turn]))
+
+
+class VfasLoop:
+    """The planner with its eyes. `T_base_seed` None: 15 cm ahead of the gripper where config.vfas.search, else drawn."""
+
+    def __init__(self, config: Config, T_base_seed: Array | None) -> None:
+        self._config, self._given = config, T_base_seed
+        self._judge = GraspJudge(evaluator_of(config.vfas.evaluator), config.vfas)
+        self._motion = MotionField(dis_flow())
+        self._planner: Vfas | None = None
+        self._last_ns = 0
+        self.velocity: Array | None = None
+
+    def step(self, frame: Frame, T_base_camera: Array, may_execute: bool = True) -> Selected | None:
+        """One iteration; None before there is a seed. may_execute: False while the task says to wait."""
+        c = self._config.vfas
+        cloud = scene_cloud(frame, T_base_camera, self._config.self_filter.margin)
+        if self._planner is None:
+            seed = self._seed(frame, cloud, T_base_camera)
+            if seed is None:
+                return None
+            self._planner = Vfas(self._judge, c, self._config.seed, seed, c.search)
+            self._last_ns = frame.t_ns - round(c.period_s * 1e9)
+        centre = self._planner.T_base_seed[:3, 3]
+        self.velocity = None
+        if c.motion_field:
+            self.velocity = self._motion.step(frame.t_ns, frame.colour, frame.depth, frame.camera, T_base_camera, centre, c.rho)
+        seconds = max((frame.t_ns - self._last_ns) * 1e-9, 1e-3)
+        self._last_ns = frame.t_ns
+        return self._planner.step(frame.index, seconds, cloud, self.velocity, frame.T_base_palm if may_execute else None)
+
+    def _seed(self, frame: Frame, cloud: Array, T_base_camera: Array) -> Array | None:
+        if self._given is not None:
+            return self._given
+        c = self._config.vfas
+        if c.search:
+            if frame.T_base_palm is None:
+                return None
+            ahead = np.eye(4)
+            ahead[2, 3] = c.search_ahead
+            return frame.T_base_palm @ ahead
+        return seed_from_cloud(cloud, self._judge, T_base_camera, self._config.seed) if len(cloud) else None
