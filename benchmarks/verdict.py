@@ -24,6 +24,7 @@ from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import invert
 from dgeval.hindsight import blind_gap
 from dgeval.physics.closing import CONTROL_S
+from dgeval.physics.gripper import FIVE_FINGERS
 from dgeval.physics.hand import ACTUATED
 from dgeval.physics.objects import surface_points, ten_objects
 from dgeval.report.statistics import calibration_error, confusion, macro_f1, wilson
@@ -120,7 +121,7 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     gap = (end - last) * CONTROL_S
     return Scene(
         motion, points, free, velocity, float(np.hypot(PLACE_M, VELOCITY * gap)), TURN_DEG,
-        None if run.close is None else end - begin, seen,
+        None if run.close is None else end - begin, seen, FIVE_FINGERS,
     )  # fmt: skip
 
 

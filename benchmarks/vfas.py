@@ -138,7 +138,7 @@ def main() -> None:
         }
         results = {arm: [w.result() for w in of] for arm, of in waiting.items()}
     parts = [
-        "Seeds are known grasps with a drawn error (8 mm and 4 degrees on each axis, 1 sigma) in place of Contact-GraspNet's; "
+        "Seeds are known grasps with a drawn error (15 mm and 6 degrees on each axis, 1 sigma) in place of Contact-GraspNet's; "
         "DIS stands in for GMFlow; the evaluator is dgeval's own; fingers slide. Intervals: Wilson, 95 %."
     ]
     for kind, pair in (

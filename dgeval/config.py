@@ -182,7 +182,7 @@ class VfasConfig(Section):
     noise_candidates: Literal["all", "top8"] = Field("top8", description="which get noisy copies; paper: all")
     copies: int = Field(5, ge=1, le=100, description="k, noisy copies (ours)")
     noise: float = Field(0.002, ge=0, description="m, each axis (paper)")
-    k1: float = Field(5.0, ge=0, description="per m of distance from the seed (ours)")
+    k1: float = Field(10.0, ge=0, description="per m of distance from the seed (ours)")
     k2: float = Field(1.0, ge=0, description="per rad of rotation from the seed (ours)")
     k3: float = Field(0.5, ge=0, description="of the spread of quality (ours)")
     good_score: float = Field(0.5, description="a grasp is good above it (paper)")

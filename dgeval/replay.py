@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dgeval.config import Config
-from dgeval.geometry import Array, transform
+from dgeval.geometry import Array, matrix_from_pose, transform
 from dgeval.physics.hand import ACTUATED
 from dgeval.recording.frame import Frame
-from dgeval.recording.trials import GRASP_TOPIC, Trial
+from dgeval.recording.trials import GRASP_TOPIC, SEED_TOPIC, Trial
 from dgeval.stages.execution import execute
 from dgeval.stages.perception import Perception, pose_columns
 from dgeval.stages.recorded_grasps import Choice, RecordedGrasps
@@ -27,6 +27,7 @@ from dgeval.stages.types import Model, Tracked
 
 if TYPE_CHECKING:
     from dgeval.stages.model_grasps import ModelGrasps
+    from dgeval.stages.vfas_grasps import VfasGrasps
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
     state = perception or Perception(config)
     servo = Servo(config.servo)
     perceived: Delayed[Any] = Delayed(config.schedule.perception_latency_s)
-    grasps = _grasps(trial, config)
+    planner = _planner(trial, config)
+    grasps = _grasps(trial, config) if planner is None else None
     moving_base = trial.robot.base_frame is not None
     given = trial.spec.bbox
     given_ns = trial.spec.bbox_time_ns
@@ -73,9 +75,12 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
         row = seen.row
         usable = perceived.step(frame.t_ns, (seen.estimate, seen.model, seen.T_camera_model, T_base_camera))
         model = seen.model if seen.accepted else None
+        if planner is not None:
+            planner.step(frame, T_base_camera, row)
         choice = None if grasps is None else grasps.choose(frame, T_base_camera, model, seen.T_camera_model, row)
         clock.lap("grasps")
-        _control(frame, T_base_camera, usable, choice, servo, row, config)
+        if planner is None:
+            _control(frame, T_base_camera, usable, choice, servo, row, config)
         clock.lap("control")
         shown = seen.T_camera_model if row.get("model_px") is not None else None
         yield Step(frame, row, clock.seconds, seen.tracked, seen.model, shown, T_base_camera, seen.accepted)
@@ -101,6 +106,23 @@ def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None
     from dgeval.stages.model_grasps import ModelGrasps  # brings torch, which takes longer to import than all the rest
 
     return ModelGrasps(trial, config)
+
+
+def recorded_seed(trial: Trial) -> Array | None:
+    """T_base_seed (4, 4): another planner's newest proposal at the trial's start, else the first in it; None: none recorded."""
+    start_ns, end_ns = trial.pairs[0][0], trial.spec.end_ns or trial.pairs[-1][0]
+    seeds = sorted((p for p in trial.scan.poses.get(SEED_TOPIC, []) if p.t_ns <= end_ns), key=lambda p: p.t_ns)
+    before = [p for p in seeds if p.t_ns <= start_ns]
+    chosen = before[-1] if before else seeds[0] if seeds else None
+    return None if chosen is None else matrix_from_pose(chosen.pose)
+
+
+def _planner(trial: Trial, config: Config) -> VfasGrasps | None:
+    if config.pipeline != "vfas":
+        return None
+    from dgeval.stages.vfas_grasps import VfasGrasps  # brings torch
+
+    return VfasGrasps(config, recorded_seed(trial))
 
 
 def _control(

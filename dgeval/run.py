@@ -25,7 +25,7 @@ from dgeval.geometry import Array
 from dgeval.hindsight import Hindsight, Seen, Surface, look_back, seen_of
 from dgeval.recording.containers import describe
 from dgeval.recording.trials import Trial, TrialSpec, open_trial
-from dgeval.replay import Step, grasp_source, replay
+from dgeval.replay import Step, grasp_source, recorded_seed, replay
 from dgeval.schema import (
     FRAMES,
     FRAMES_ADDED,
@@ -200,8 +200,10 @@ def _trial_row(
         notes.append("self_filter: none, no robot description")
     stand_in = {"model": "model tracker", "csrt": "CSRT"}[config.tracking.method]
     notes.append(f"stand-in: {stand_in} in place of TransT-M")
-    source = grasp_source(trial, config)
-    if source == "recorded":
+    source = "vfas" if config.pipeline == "vfas" else grasp_source(trial, config)
+    if source == "vfas":
+        notes += vfas_notes(config, recorded_seed(trial) is not None)
+    elif source == "recorded":
         notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
     elif source == "ffhnet":
         from dgeval.networks.checkpoints import published
@@ -232,6 +234,20 @@ def _trial_row(
         **judgement.columns,
     }
     return row, exit_code, messages
+
+
+def vfas_notes(config: Config, seeded: bool) -> list[str]:
+    """What ran in place of VFAS-Grasp's own parts."""
+    weights = config.vfas.evaluator
+    quality = "dgeval's own weights" if weights is None else f"weights {Path(weights).name}"
+    notes = [f"VFAS-Grasp's evaluator with {quality}; sliding fingers stand for its gripper's links"]
+    if config.vfas.motion_field:
+        notes.append("stand-in: DIS in place of GMFlow")
+    if config.vfas.noise_candidates == "top8":
+        notes.append("noisy copies of the eight leading candidates, in place of all")
+    if not seeded and not config.vfas.search:
+        notes.append("stand-in: a sampler scored by the evaluator in place of Contact-GraspNet's seed")
+    return notes
 
 
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:

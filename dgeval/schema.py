@@ -52,17 +52,17 @@ FRAMES: tuple[Column, ...] = (
     *_vector("velocity", "x y z", "m/s", "estimated velocity, base frame", "estimation"),
     Column("velocity_sd", "float", "m/s", "square root of the largest eigenvalue of its covariance", "estimation"),
     Column("predicted", "bool", "", "no accepted registration in this frame", "registration"),
-    *_pose("grasp", "chosen grasp g*_t as T_base_palm", "grasps"),
-    Column("grasp_score", "float", "", "predicted success of the chosen grasp", "grasps"),
+    *_pose("grasp", "chosen grasp g*_t as T_base_palm; vfas: the seed after the iteration", "grasps"),
+    Column("grasp_score", "float", "", "predicted success of the chosen grasp; vfas: score S of equation 1", "grasps"),
     Column("grasp_metric", "float", "", "dynamic grasp metric of the chosen grasp, equations 3 to 5", "grasps"),
     Column("n_grasps", "int", "", "candidates the grasp was chosen from", "grasps"),
     *_pose("hand", "recorded palm pose, T_base_palm", "input"),
     Column("hand_score", "float", "", "evaluator's score of the recorded palm pose", "execution"),
-    Column("error_linear", "float", "m", "hand to grasp", "servo"),
+    Column("error_linear", "float", "m", "hand to grasp; vfas: to the goal, which is the pre-grasp pose at first", "servo"),
     Column("error_angular", "float", "rad", "hand to grasp, geodesic", "servo"),
     *_vector("twist", "vx vy vz", "m/s", "equation 7 at the recorded state, base axes, palm origin", "servo"),
     *_vector("twist", "wx wy wz", "rad/s", "equation 7 at the recorded state, base axes", "servo"),
-    Column("execute", "bool", "", "score above c_e", "execution"),
+    Column("execute", "bool", "", "score above c_e; vfas: the pre-grasp pose has been held", "execution"),
 )
 # Logged beside version 1; in no digest until the schema's version moves.
 FRAMES_ADDED: tuple[Column, ...] = (
@@ -75,6 +75,10 @@ FRAMES_ADDED: tuple[Column, ...] = (
         "registration",
     ),
     Column("n_features", "int", "", "image features followed on the target", "tracking"),
+    Column("grasp_quality", "float", "", "vfas: mean quality of the best candidate over its noisy copies", "grasps"),
+    Column("grasp_spread", "float", "", "vfas: spread of its quality over them", "grasps"),
+    Column("region_factor", "float", "", "vfas: scale of the sampling region", "grasps"),
+    *_vector("motion", "x y z", "m/s", "vfas: motion field near the seed, base frame", "grasps"),
 )
 STAGES: tuple[str, ...] = ("input", "tracking", "registration", "fusion", "estimation", "grasps", "servo", "execution")
 

@@ -23,7 +23,7 @@ Examples:
 def replay(
     paths: Annotated[list[Path], typer.Argument(help="Recordings, folders of recordings, manifests (.toml).", metavar="PATH…")],
     out: Annotated[Path, typer.Option(help="Run folder. A finished trial in it is not done again.")] = Path("runs/latest"),
-    pipeline: Annotated[str, typer.Option(help="dynamic, or a FILE.toml with its parameters.")] = "dynamic",
+    pipeline: Annotated[str, typer.Option(help="dynamic, vfas, or a FILE.toml with its parameters.")] = "dynamic",
     set_: Annotated[list[str] | None, typer.Option("--set", help="section.key=value; see `dgeval config show`.")] = None,
     bbox: Annotated[str | None, typer.Option(help="Target box x0,y0,x1,y1 in px. Needs exactly one trial.")] = None,
     bbox_time: Annotated[int | None, typer.Option(help="Time of the box, ns; default: the first frame.")] = None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Literal
 
@@ -45,3 +45,8 @@ JAW = Gripper(
     "jaw", jaw.JOINT_NAMES, jaw.JOINT_NAMES, jaw.FINGERS, jaw.T_hand_grasp, jaw.T_hand_camera,
     jaw.T_hand_grasp[:3, 3], np.copy, jaw.finger_targets,
 )  # fmt: skip
+
+
+def gripper_of(joints: Collection[str]) -> Gripper | None:
+    """Which one has these joints; None for a hand of which there is no model."""
+    return next((g for g in (FIVE_FINGERS, JAW) if set(g.drives) <= set(joints)), None)

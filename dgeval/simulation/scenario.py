@@ -83,8 +83,10 @@ class TurntableConfig(_Section):
 class SeedConfig(_Section):
     """The seed grasp: one that is known to hold, as another planner would have found it: with an error."""
 
-    position: float = Field(0.008, ge=0, description="m, each axis, 1 sigma")
-    angle: float = Field(4.0, ge=0, description="degrees, each axis, 1 sigma")
+    position: float = Field(
+        0.015, ge=0, description="m, each axis, 1 sigma; alone, seeds hold about as often as in the paper (60 %)"
+    )
+    angle: float = Field(6.0, ge=0, description="degrees, each axis, 1 sigma")
 
 
 class Scenario(_Section):

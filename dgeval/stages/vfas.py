@@ -6,6 +6,7 @@ is the next seed. The goal is the pre-grasp pose until that has been held; then 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,22 +68,21 @@ class GraspJudge:
         links = link_points(network.sizes.gripper, generator(0, "gripper points", 0))
         self._gripper = torch.from_numpy(links.astype(np.float32))[None]
 
-    def quality(self, cloud: Array, T_base_grasp: Array, rng: np.random.Generator | None) -> Array:
-        """Quality (n,) of grasps (n, 4, 4) in a cloud (m, 3), base frame; 0 where nothing is near. rng: adds the noise."""
+    def quality(self, clouds: Sequence[Array], T_base_grasp: Array) -> Array:
+        """Quality (k, n) of grasps (n, 4, 4) in each of k clouds (m, 3), base frame; 0 where nothing is near."""
         s = self._network.sizes
-        T: Array = np.linalg.inv(T_base_grasp).astype(np.float64)
         if s.centre == "mean":
-            return self._about_the_mean(cloud, T_base_grasp, rng)
-        points, counts = crop(cloud, T, CROP_LOW, CROP_HIGH, s.scene)
-        if rng is not None:
-            points += rng.normal(0, self._config.noise, points.shape).astype(np.float32)
-        out = np.zeros(len(T))
+            return np.stack([self._about_the_mean(cloud, T_base_grasp) for cloud in clouds])
+        T: Array = np.linalg.inv(T_base_grasp).astype(np.float64)
+        cropped = [crop(cloud, T, CROP_LOW, CROP_HIGH, s.scene) for cloud in clouds]
+        points, counts = np.concatenate([c[0] for c in cropped]), np.concatenate([c[1] for c in cropped])
+        out = np.zeros(len(points))
         able = np.flatnonzero(counts >= LEAST_POINTS)
         if len(able):
             out[able] = self._network.success(torch.from_numpy(points[able]), self._gripper).double().numpy()
-        return out
+        return out.reshape(len(clouds), -1)
 
-    def _about_the_mean(self, cloud: Array, T_base_grasp: Array, rng: np.random.Generator | None) -> Array:
+    def _about_the_mean(self, cloud: Array, T_base_grasp: Array) -> Array:
         """As the public weights want it: one cloud about its mean, the gripper's control points in it."""
         if len(cloud) < LEAST_POINTS:
             return np.zeros(len(T_base_grasp))
@@ -91,8 +91,6 @@ class GraspJudge:
         tool = CONTROL_POINTS - [0, 0, PANDA_BEHIND]
         grippers = tool @ np.swapaxes(T_base_grasp[:, :3, :3], 1, 2) + T_base_grasp[:, None, :3, 3] - mean
         scene = np.tile((points - mean).astype(np.float32), (len(T_base_grasp), 1, 1))
-        if rng is not None:
-            scene += rng.normal(0, self._config.noise, scene.shape).astype(np.float32)
         return self._network.success(torch.from_numpy(scene), torch.from_numpy(grippers.astype(np.float32))).double().numpy()
 
     def scores(self, cloud: Array, T_base_grasp: Array, T_seed: Array, rng: np.random.Generator) -> Scores:
@@ -104,13 +102,14 @@ class GraspJudge:
         if c.noise_candidates == "all":
             chosen, quality = np.arange(n), np.zeros(n)
         else:
-            quality = self.quality(cloud, T_base_grasp, None)
+            quality = self.quality([cloud], T_base_grasp)[0]
             chosen = np.argsort(-(quality - penalty), kind="stable")[:8]
-        copies = np.repeat(T_base_grasp[chosen], c.copies, axis=0)
-        noisy = self.quality(cloud, copies, rng).reshape(-1, c.copies)
+        # the same noise for all of them, so that what tells them apart is not its draw
+        clouds = [cloud + rng.normal(0, c.noise, cloud.shape) for _ in range(c.copies)]
+        noisy = self.quality(clouds, T_base_grasp[chosen])
         spread = np.full(n, np.nan)
-        spread[chosen] = noisy.max(axis=1) - noisy.min(axis=1)
-        quality[chosen] = noisy.mean(axis=1)
+        spread[chosen] = np.ptp(noisy, axis=0)
+        quality[chosen] = noisy.mean(axis=0)
         # only those whose spread is known may be chosen
         score = np.where(np.isnan(spread), -np.inf, quality - penalty - c.k3 * np.nan_to_num(spread))
         return Scores(score, quality, spread)

@@ -6,6 +6,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from dgeval.config import Config
@@ -20,6 +21,7 @@ from dgeval.stages.vfas import GraspJudge, Selected, Vfas, perturbed
 
 FAR = 0.8  # m; what lies behind is no scene to grasp from
 MOST_PIXELS = 40_000
+EDGE_PX, EDGE_M = 5, 0.025  # window, and what lies within it, of a surface; beyond it an edge with flying pixels
 SAMPLED = 256  # poses a seed is chosen from
 
 
@@ -31,9 +33,16 @@ def evaluator_of(path: str | None) -> GraspEvaluator:
 
 
 def scene_cloud(frame: Frame, T_base_camera: Array, margin: float) -> Array:
-    """Points (n, 3) of a frame without the robot's own hand, base frame."""
+    """Points (n, 3) of a frame without the robot's own hand and without flying pixels, base frame.
+
+    Flying pixels stand in the air between an edge and what lies behind it, where a finger should go: with them the
+    evaluator, which has learned from depth without them, gives known grasps a fifth of their quality.
+    """
     depth = frame.depth
     valid = (depth > 0) & (depth < FAR)
+    window = np.ones((EDGE_PX, EDGE_PX), np.uint8)
+    jump = cv2.dilate(depth, window) - cv2.erode(np.where(depth > 0, depth, np.float32(1e3)), window)
+    valid &= jump < EDGE_M
     if frame.hand is not None:
         valid &= ~hand_pixels(depth, (0, 0), frame.camera, frame.hand, margin)
     v, u = np.nonzero(valid)
@@ -63,7 +72,7 @@ def seed_from_cloud(cloud: Array, judge: GraspJudge, T_base_camera: Array, seed:
             poses.append(T)
     if not poses:
         return None
-    quality = judge.quality(cloud[rng.permutation(len(cloud))], np.array(poses), None)
+    quality = judge.quality([cloud[rng.permutation(len(cloud))]], np.array(poses))[0]
     return poses[int(np.argmax(quality))]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, rotation_angle
-from dgeval.physics.closing import AFTER_CLOSE_S, CONTROL_S, GRASP_CENTRE
+from dgeval.physics.closing import AFTER_CLOSE_S, CONTROL_S
 from dgeval.physics.shape import solid_from_cloud
 from dgeval.taxonomy import Facts, FailureClass, Needs, SubCause, Thresholds, Verdict, classify
 from dgeval.verdict.evidence import Scene
@@ -106,7 +106,7 @@ def _geometry(scene: Scene, thresholds: Thresholds) -> Sample:
     end = scene.reference
     centre = (scene.points.min(axis=0) + scene.points.max(axis=0)) / 2
     T = scene.hand.T_support_hand
-    places = np.array([T[k][:3, :3] @ GRASP_CENTRE + T[k][:3, 3] for k in range(end + 1)])
+    places = np.array([T[k][:3, :3] @ scene.gripper.centre + T[k][:3, 3] for k in range(end + 1)])
     free = centre + scene.free[: end + 1]
     real = free.copy()
     off = np.zeros((end + 1, 2))

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from dgeval.geometry import Array, invert, transform
 from dgeval.hindsight import Hindsight
-from dgeval.physics.closing import CONTROL_S, GRASP_CENTRE
-from dgeval.physics.hand import ACTUATED
+from dgeval.physics.closing import CONTROL_S
+from dgeval.physics.gripper import Gripper, gripper_of
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
 
@@ -22,7 +22,7 @@ VELOCITY_TOPIC = "/dgeval/belief/velocity"
 
 @dataclass(frozen=True)
 class HandMotion:
-    """The recorded hand at even times: t_ns (n,), T_support_hand (n, 4, 4), 15 joint positions rad (n, 15).
+    """The recorded hand at even times: t_ns (n,), T_support_hand (n, 4, 4), joint positions of its drives, rad or m (n, 15 or 2).
 
     Support frame: z up from the surface the object stands on (z = 0), y along its motion. `velocity` (n, 3) m/s is what the
     hand would follow with if it closed there: the robot's belief where it is recorded, else the object's velocity.
@@ -53,6 +53,7 @@ class Scene:
     sd_deg: float
     close: int | None
     seen: Array
+    gripper: Gripper
 
     @property
     def reference(self) -> int:
@@ -68,13 +69,14 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
     if description is None or base is None:
         return "no robot description and base frame: the hand's geometry is not known"
     mounts = {j.name: j.parent for j in description.joints.values()}
-    if any(name not in mounts for name in ACTUATED):
-        return "the twin knows the DLR-HIT Hand II only, and the description's joints are not its"
+    gripper = gripper_of(mounts)
+    if gripper is None:
+        return "the twin knows the DLR-HIT Hand II and dgeval's jaw gripper only, and the description's joints are not theirs"
     if hindsight.n_registered < MIN_REGISTERED:
         return f"the object was registered in only {hindsight.n_registered} frames before the close"
     if hindsight.support is None:
         return "what the object stands on was never seen"
-    root = mounts[f"{ACTUATED[0][:-2]}_0"]
+    root = mounts[gripper.drives[0]]
     track = JointTrack.of(trial.scan.joints.get(trial.roles.hand_joints or "", []), trial.config.clock.hand_joints.offset_ns)
     end_ns = close_ns if close_ns is not None else trial.pairs[-1][0]
     start_ns = max(trial.pairs[0][0], end_ns - round(APPROACH_S * 1e9))
@@ -89,7 +91,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
     hands, fingers, velocities = [], [], []
     for t_ns in times.tolist():
         T = trial.robot.tree.lookup(base, root, t_ns)
-        q = [track.at(name, t_ns, round(trial.config.sync.max_pose_gap_s * 1e9)) for name in ACTUATED]
+        q = [track.at(name, t_ns, round(trial.config.sync.max_pose_gap_s * 1e9)) for name in gripper.drives]
         if T is None or any(v is None for v in q):
             if kept:
                 return f"the hand's pose is not known at {(t_ns - end_ns) * 1e-9:.2f} s before the end of the approach"
@@ -106,7 +108,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
     nearest = -1
     if close_ns is None:
         # without a close, what counts is how well its place was known when the hand was at it, not at the log's end
-        palms = np.array([T @ np.append(GRASP_CENTRE, 1.0) for T in hands])[:, :3]
+        palms = np.array([T @ np.append(gripper.centre, 1.0) for T in hands])[:, :3]
         nearest = int(np.argmin(np.linalg.norm(palms - transform(T_support_base, centres), axis=1)))
     moved = (centres - centres[-1]) @ T_support_base[:3, :3].T
     moved[:, 2] = 0.0
@@ -120,6 +122,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         float(np.degrees(hindsight.path.sd_angle)),
         None if close_ns is None else len(kept) - 1,
         _seen(hindsight, T_support_base, hand.t_ns, end_ns),
+        gripper,
     )
 
 

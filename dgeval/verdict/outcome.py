@@ -8,12 +8,13 @@ import numpy as np
 
 from dgeval.geometry import Array, transform
 from dgeval.hindsight import Hindsight, hand_distance
-from dgeval.physics.hand import ACTUATED
+from dgeval.physics.gripper import FIVE_FINGERS, JAW
 from dgeval.recording.trials import Trial
 from dgeval.taxonomy import Outcome, OutcomeSource
 
 AFTER_S = 1.0  # after the close, from which fingers at rest tell what they hold
 LAST_S = 0.5  # of the log, over which efforts are judged
+HELD_M = 0.002  # between closed jaws; walls of cups are 3 mm and more
 HELD_NM = 0.05  # mean effort of a finger's flexion joints that presses on something; empty ones show up to 0.01
 LEFT_BEHIND_M, CARRIED_M = 0.05, 0.05  # m: rise below which a sighted object was left, above which it came along
 
@@ -66,9 +67,18 @@ def _pressing(trial: Trial, last_ns: int) -> tuple[bool, str] | None:
     """What the fingers say at the end; None without efforts of a known hand."""
     first_ns = last_ns - round(LAST_S * 1e9)
     samples = [s for s in trial.scan.joints.get(trial.roles.hand_joints or "", []) if first_ns <= s.t_ns <= last_ns]
-    flexion = [n for n in ACTUATED if not n.endswith("_0")]
+    if samples and all(name in samples[-1].positions for name in JAW.joints):
+        return between_jaws(np.array([[s.positions[n] for n in JAW.joints if n in s.positions] for s in samples]))
+    flexion = [n for n in FIVE_FINGERS.drives if not n.endswith("_0")]
     rows = [[s.efforts[n] for n in flexion] for s in samples if all(n in s.efforts for n in flexion)]
     return None if len(rows) < 5 else grip(np.array(rows))
+
+
+def between_jaws(positions: Array) -> tuple[bool, str]:
+    """Whether closed jaws hold something, by how far (n, 2) m they are from meeting over some time."""
+    gap = float(np.median(positions.sum(axis=1)))
+    said = f"the jaws are {gap * 1000:.0f} mm apart at the end"
+    return (True, said) if gap > HELD_M else (False, f"{said}: they hold nothing")
 
 
 def grip(efforts: Array) -> tuple[bool, str]:

@@ -16,17 +16,14 @@ from dgeval.physics.closing import (
     AFTER_CLOSE_S,
     CLOSE_S,
     CONTROL_S,
-    GRASP_CENTRE,
     LIFT_S,
     MAX_FROM_HAND,
     MIN_LIFT,
     NEAR,
     SETTLE_S,
     SUBSTEPS,
-    finger_targets,
     finishing_twist,
 )  # fmt: skip
-from dgeval.physics.hand import ACTUATED
 from dgeval.physics.objects import ObjectModel
 from dgeval.physics.scene import TIMESTEP, build, least_distance
 from dgeval.taxonomy import Facts, Needs, Thresholds, Verdict, classify
@@ -76,7 +73,8 @@ class Twin:
     ) -> None:
         self.scene = scene
         self.thing, centre = replace(solid[0], mass=solid[0].mass * mass), solid[1]
-        self.model = build(self.thing, float(scene.velocity[1]), robot="hand")
+        self.gripper = scene.gripper
+        self.model = build(self.thing, float(scene.velocity[1]), robot="hand", gripper=self.gripper.name)
         m = self.model
         parts = [g for g in range(m.ngeom) if m.geom(g).name.startswith("object_")]
         m.geom_friction[parts, 0] *= friction
@@ -87,9 +85,8 @@ class Twin:
         self._hand_dof = int(m.joint("hand").dofadr[0])
         # nothing pushes a recorded hand: with a small inertia the solver would let part of each contact go into moving it
         m.dof_armature[self._hand_dof : self._hand_dof + 6] = 1e5
-        self._fingers = np.array([m.joint(n).qposadr[0] for n in ACTUATED])
-        self._coupled = np.array([m.joint(f"{n[:-1]}3").qposadr[0] for n in ACTUATED if n.endswith("2")])
-        self._drives = np.array([m.actuator(n).id for n in ACTUATED])
+        self._fingers = np.array([m.joint(n).qposadr[0] for n in self.gripper.joints])
+        self._drives = np.array([m.actuator(n).id for n in self.gripper.drives])
         self._is_hand = np.array([m.geom(g).contype[0] == 2 for g in range(m.ngeom)])
         self._is_object = np.isin(np.arange(m.ngeom), parts)
         self._shift = np.array([WORLD_X - centre[0], -centre[1], 0.0])
@@ -155,8 +152,7 @@ class Twin:
 
     def _put_fingers(self, tick: int) -> None:
         q = self.scene.hand.fingers[tick]
-        self.data.qpos[self._fingers] = q
-        self.data.qpos[self._coupled] = q[2::3]
+        self.data.qpos[self._fingers] = self.gripper.positions(q)
         self.data.ctrl[self._drives] = q
 
     def at(self, tick: int) -> None:
@@ -226,7 +222,7 @@ class Twin:
         d = self.data
         height, since = 0.0, 0.0
         while True:
-            d.ctrl[self._drives] = finger_targets(since, preshape)
+            d.ctrl[self._drives] = self.gripper.targets(since, preshape)
             T = self._move(T, finishing_twist(since, velocity)[:3], np.zeros(3))
             since += CONTROL_S
             z = float(d.qpos[self._object + 2])
@@ -237,7 +233,7 @@ class Twin:
             if lift > 0.45 * LIFT_S and z < self.rest + 0.01:
                 return False, height
             if lift >= LIFT_S + HOLD_S:
-                centre = T[:3, :3] @ GRASP_CENTRE + T[:3, 3]
+                centre = T[:3, :3] @ self.gripper.centre + T[:3, 3]
                 near = np.linalg.norm(d.qpos[self._object : self._object + 3] - centre) < MAX_FROM_HAND
                 return bool(z > self.rest + MIN_LIFT and near and self.touching()[0]), height
 
@@ -249,7 +245,7 @@ class Twin:
     def approach(self) -> bool:
         """The recorded hand through the object up to the close; whether the recorded failure happens there too."""
         scene, end = self.scene, self.scene.reference
-        centres = np.array([self.hand_at(k) @ np.append(GRASP_CENTRE, 1.0) for k in range(end + 1)])[:, :3]
+        centres = np.array([self.hand_at(k) @ np.append(self.gripper.centre, 1.0) for k in range(end + 1)])[:, :3]
         path = np.array([self.undisturbed(k)[:3] for k in range(end + 1)])
         reach = NEAR_CENTRE + 0.5 * float(np.linalg.norm(self.thing.extent()))
         near = np.flatnonzero(np.linalg.norm(centres - path, axis=1) < reach)
@@ -313,7 +309,7 @@ class Twin:
         """Whether a close from this state can do anything: the object lies within the hand's reach."""
         self.restore(state)
         T = self._hand_pose()
-        off = self.data.qpos[self._object : self._object + 3] - T[:3, :3] @ GRASP_CENTRE - T[:3, 3]
+        off = self.data.qpos[self._object : self._object + 3] - T[:3, :3] @ self.gripper.centre - T[:3, 3]
         return bool(np.linalg.norm(off) < NEAR + 0.5 * np.linalg.norm(self.thing.extent()))
 
     def _hand_pose(self) -> Array:
