@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from dgeval.physics.objects import procedural_object, surface_points, ten_object
 from dgeval.simulation.clouds import seen_from
 from dgeval.training import ffhnet
 from dgeval.training.ffhnet import Settings, batch_of, load_objects
-from dgeval.training.grasp_data import make_grasps, read_grasps, write_all
+from dgeval.training.grasp_data import make_grasps, read_grasps, write_grasps
+from dgeval.training.pool import write_all
 from dgeval.training.ship import scores_of
 from dgeval.training.views import random_camera, views_of
 
@@ -25,7 +27,7 @@ SMALL = Settings(n_bps=64, width=24, hidden=16, views=4, held_out=2, batch=64, s
 def grasps(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six small objects, a few grasps each."""
     out = tmp_path_factory.mktemp("train") / "grasps"
-    write_all(out, 6, 0, 12, 1, lambda _: None)
+    write_all(partial(write_grasps, out=out, seed=0, tried=12), 6, 1, lambda _: None)
     return out
 
 

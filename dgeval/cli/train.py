@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dgeval.cli.boundary import command, print_json
 
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+Progressed = Callable[[str, int, dict[str, float]], None]
 EXAMPLES = """\b
 Examples:
   dgeval train ffhnet --out runs/ffhnet --jobs 2        (more than an hour on two cores)
   dgeval train ffhnet --out runs/quick --objects 18 --tried 60 --views 20 --steps 200
+  dgeval train vfas --out runs/vfas --jobs 2            (three quarters of an hour)
 
 Stopped runs go on where they were. Use what comes out with
   dgeval replay … --set grasps.generator=runs/ffhnet/ffhnet_generator.safetensors \
@@ -22,45 +29,77 @@ Stopped runs go on where they were. Use what comes out with
 
 @command
 def train(
-    network: Annotated[str, typer.Argument(help="ffhnet.")],
+    network: Annotated[str, typer.Argument(help="ffhnet, or vfas.")],
     out: Annotated[Path, typer.Option(help="Folder for grasp data, checkpoints, weights, metrics.")],
-    objects: Annotated[int, typer.Option(min=6, help="Procedural objects; the last nine, at most a third, are held out.")] = 63,
+    objects: Annotated[
+        int | None, typer.Option(min=6, help="Procedural objects, 63 or 72; the last nine, at most a third, are held out.")
+    ] = None,
     tried: Annotated[
-        int, typer.Option(min=12, help="Grasps tried in physics per object, sampled, and as many proposed.")
+        int, typer.Option(min=12, help="ffhnet: grasps tried in physics per object, sampled, and as many proposed.")
     ] = 240,
-    views: Annotated[int, typer.Option(min=2, help="Clouds per object.")] = 100,
-    steps: Annotated[int, typer.Option(min=10, help="Steps of an evaluator; the generator takes 8 for every 3.")] = 3000,
+    scenes: Annotated[int, typer.Option(min=1, help="vfas: views per object, each with 24 poses tried in physics.")] = 16,
+    views: Annotated[int, typer.Option(min=2, help="ffhnet: clouds per object.")] = 100,
+    steps: Annotated[
+        int | None, typer.Option(min=10, help="Of an evaluator, 3000 or 4000; FFHNet's generator takes 8 for every 3.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of data, weights and batches.")] = 0,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes for the physics; results don't depend on it.")] = 1,
     json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
-    """Make grasps in physics, train generator and evaluators on them, calibrate, and measure on objects held out."""
+    """Make grasps in physics, train the networks on them, calibrate, and measure on objects held out."""
     from rich.console import Console
     from rich.progress import Progress
 
     from dgeval.errors import UsageError
-    from dgeval.training.ffhnet import Settings
-    from dgeval.training.grasp_data import write_all
-    from dgeval.training.ship import train_all
 
-    if network != "ffhnet":
-        raise UsageError(f"no network {network!r} to train", hint="ffhnet is the only one")
-    settings = Settings(views=views, steps=steps, generator_steps=steps * 8 // 3, seed=seed, held_out=min(9, objects // 3))
+    if network not in ("ffhnet", "vfas"):
+        raise UsageError(f"no network {network!r} to train", hint="ffhnet or vfas")
     with Progress(console=Console(stderr=True), disable=json_) as bar:
-        task = bar.add_task("grasps in physics", total=objects)
-        write_all(out / "grasps", objects, seed, tried, jobs, lambda _: bar.advance(task))
-        tasks = {}
+        tasks: dict[str, TaskID] = {}
+        totals: dict[str, int] = {}
 
-        def progress(kind: str, step: int, terms: dict[str, float]) -> None:
-            if kind not in tasks:
-                tasks[kind] = bar.add_task(kind, total=steps * 8 // 3 if kind == "generator" else steps)
+        def progress(phase: str, step: int, terms: dict[str, float]) -> None:
+            if phase not in tasks:
+                tasks[phase] = bar.add_task(phase, total=totals[phase])
             said = ", ".join(f"{k} {v:.3f}" for k, v in terms.items())
-            bar.update(tasks[kind], completed=step, description=f"{kind}: {said}")
+            bar.update(tasks[phase], completed=step, description=f"{phase}: {said}" if said else phase)
 
-        metrics = train_all(out, objects, settings, tried, jobs, progress)
+        if network == "ffhnet":
+            metrics = _ffhnet(out, objects or 63, tried, views, steps or 3000, seed, jobs, totals, progress)
+        else:
+            from dgeval.training.vfas import Settings, train_all
+
+            objects, steps = objects or 72, steps or 4000
+            totals.update(scenes=objects, evaluator=steps)
+            settings = Settings(steps=steps, seed=seed, held_out=min(9, objects // 3))
+            metrics = train_all(out, objects, settings, scenes, jobs, progress)
     if json_:
         print_json(metrics)
     else:
         for name, values in metrics["held_out"].items():
             typer.echo(f"{name}: " + ", ".join(f"{k} {v:.3f}" for k, v in values.items()))
         typer.echo(f"weights and metrics: {out}")
+
+
+def _ffhnet(
+    out: Path,
+    objects: int,
+    tried: int,
+    views: int,
+    steps: int,
+    seed: int,
+    jobs: int,
+    totals: dict[str, int],
+    progress: Progressed,
+) -> dict[str, Any]:
+    from dgeval.training.ffhnet import Settings
+    from dgeval.training.grasp_data import write_grasps
+    from dgeval.training.pool import write_all
+    from dgeval.training.ship import train_all
+
+    totals.update(grasps=objects, generator=steps * 8 // 3, evaluator=steps, evaluator_fingers=steps)
+    settings = Settings(views=views, steps=steps, generator_steps=steps * 8 // 3, seed=seed, held_out=min(9, objects // 3))
+    made = iter(range(1, objects + 1))
+    make = partial(write_grasps, out=out / "grasps", seed=seed, tried=tried)
+    write_all(make, objects, jobs, lambda _: progress("grasps", next(made), {}))
+    return train_all(out, objects, settings, tried, jobs, progress)

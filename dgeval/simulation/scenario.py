@@ -83,9 +83,7 @@ class TurntableConfig(_Section):
 class SeedConfig(_Section):
     """The seed grasp: one that is known to hold, as another planner would have found it: with an error."""
 
-    position: float = Field(
-        0.015, ge=0, description="m, each axis, 1 sigma; alone, seeds hold about as often as in the paper (60 %)"
-    )
+    position: float = Field(0.015, ge=0, description="m, each axis, 1 sigma; seeds alone then hold as often as the paper's")
     angle: float = Field(6.0, ge=0, description="degrees, each axis, 1 sigma")
 
 

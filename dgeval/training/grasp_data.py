@@ -7,9 +7,6 @@ failures without a try.
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from dgeval import __version__
-from dgeval.determinism import generator, limit_threads, set_thread_variables
+from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, increment, invert
 from dgeval.networks.ffhnet import FFHGenerator, load_generator
 from dgeval.physics.hand import T_hand_palm
@@ -149,12 +146,13 @@ def try_selected(
     return clouds, np.array(poses), np.array(joints), np.array(held)
 
 
-def write_grasps(out: Path, index: int, seed: int, tried: int, weights: Path | None = None) -> Path:
+def write_grasps(index: int, out: Path, seed: int, tried: int, weights: Path | None = None) -> Path:
     """Grasps of procedural object `index` as OUT/<object>.npz; a finished file of the same settings is kept.
 
     weights: of a generator whose proposals are tried in place of sampled grasps.
     """
     limit_threads()
+    out.mkdir(parents=True, exist_ok=True)
     thing = procedural_object(index, seed)
     path = out / f"{thing.name}.npz"
     about = f"dgeval {__version__} grasps {VERSION} mujoco {mujoco.__version__} seed {seed} tried {tried}"
@@ -181,22 +179,3 @@ def read_grasps(path: Path) -> GraspData:
     with np.load(path) as file:
         poses, joints = file["T_object_palm"].astype(np.float64), file["joints"].astype(np.float64)
         return GraspData(poses, joints, file["held"], file["overlapping"])
-
-
-def write_all(
-    out: Path, objects: int, seed: int, tried: int, jobs: int, progress: Callable[[Path], None], weights: Path | None = None
-) -> list[Path]:
-    """Grasps of procedural objects 0 … objects - 1, as `write_grasps` makes them; the same for any number of jobs."""
-    out.mkdir(parents=True, exist_ok=True)
-    if jobs == 1:
-        paths = []
-        for index in range(objects):
-            paths.append(write_grasps(out, index, seed, tried, weights))
-            progress(paths[-1])
-        return paths
-    set_thread_variables()
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        waiting = [pool.submit(write_grasps, out, index, seed, tried, weights) for index in range(objects)]
-        for future in waiting:
-            progress(future.result())
-        return [future.result() for future in waiting]

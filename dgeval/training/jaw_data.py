@@ -124,15 +124,15 @@ def scenes_of(thing: ObjectModel, others: list[ObjectModel], seed: int, seeds: i
     return out
 
 
-def write_scenes(out: Path, index: int, seed: int, seeds: int) -> Path:
+def write_scenes(index: int, out: Path, seed: int, seeds: int) -> Path:
     """Scenes of procedural object `index` as OUT/<object>.npz; a finished file of the same settings is kept."""
     limit_threads()
+    out.mkdir(parents=True, exist_ok=True)
     thing = procedural_object(index, seed)
     path = out / f"{thing.name}.npz"
     about = f"dgeval {__version__} jaw {VERSION} mujoco {mujoco.__version__} seed {seed} seeds {seeds}"
     if path.is_file() and str(np.load(path)["about"]) == about:
         return path
-    out.mkdir(parents=True, exist_ok=True)
     scenes = scenes_of(thing, [procedural_object(index + 1000, seed)], seed, seeds)
     part = path.with_suffix(".part.npz")
     counts = np.cumsum([0, *(len(s.points) for s in scenes)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_gener
 from dgeval.physics.objects import procedural_object
 from dgeval.stages.grasping import Networks
 from dgeval.training.ffhnet import Kind, ObjectData, Settings, calibrate, load_objects, train
-from dgeval.training.grasp_data import try_selected, write_all
+from dgeval.training.grasp_data import try_selected, write_grasps
+from dgeval.training.pool import write_all
 
 BINS = 10
 SELECTED_VIEWS = 10
@@ -45,7 +47,8 @@ def train_all(
     generator_file = out / "ffhnet_generator.safetensors"
     export(trained("generator", load_objects(out / "grasps", settings, objects, settings.seed)), generator_file)
     # the evaluators also learn from what this generator proposes: its mistakes are those that they will have to see
-    write_all(out / "proposed", objects, settings.seed, proposals, jobs, lambda _: None, generator_file)
+    make = partial(write_grasps, out=out / "proposed", seed=settings.seed, tried=proposals, weights=generator_file)
+    write_all(make, objects, jobs, lambda _: None)
     data = load_objects(out / "grasps", settings, objects, settings.seed, out / "proposed")
     learning, held_out = data[: -settings.held_out], data[-settings.held_out :]
     metrics: dict[str, Any] = {"settings": asdict(settings), "data": _about(learning, held_out), "held_out": {}}

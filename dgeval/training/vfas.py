@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,16 +15,18 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from dgeval.determinism import generator
+from dgeval.determinism import generator, limit_threads
 from dgeval.errors import UsageError
 from dgeval.geometry import Array, invert
 from dgeval.networks.point_sets import crop
-from dgeval.networks.pointnet2 import CROP_HIGH, CROP_LOW, VFAS, GraspEvaluator
+from dgeval.networks.pointnet2 import CROP_HIGH, CROP_LOW, VFAS, GraspEvaluator, save_evaluator
 from dgeval.physics.jaw import link_points
 from dgeval.physics.objects import procedural_object
 from dgeval.stages.vfas import LEAST_POINTS
-from dgeval.training.jaw_data import Scene, read_scenes
+from dgeval.training.jaw_data import Scene, read_scenes, write_scenes
 from dgeval.training.loop import optimise
+from dgeval.training.pool import write_all
+from dgeval.training.ship import scores_of
 
 NOISE, GRAZING_DROP = 0.002, 0.7  # m on each axis; probability (VFAS section III-B)
 FLOATING = 0.3  # share of scenes shown without their table, as in a handover (ours)
@@ -30,7 +35,7 @@ MIRRORS = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]], dtype=np.fl
 
 @dataclass(frozen=True)
 class Settings:
-    steps: int = 5000
+    steps: int = 4000
     batch: int = 64
     positive: float = 0.35  # share of a batch that held
     learning_rate: float = 1e-3
@@ -99,3 +104,43 @@ def train(
     rates = settings.learning_rate, settings.weight_decay
     optimise(network, loss_of, settings.steps, rates, {"kind": "vfas", **asdict(settings)}, checkpoint, progress)
     return network
+
+
+def measure(network: GraspEvaluator, scenes: list[Scene], n: int, seed: int) -> dict[str, float]:
+    """ROC-AUC, Brier, calibration error over n random poses of scenes, as they are drawn."""
+    gripper = torch.from_numpy(link_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32))[None]
+    points: list[NDArray[np.float32]] = []
+    held: list[bool] = []
+    rng = generator(seed, "measure/vfas", 0)
+    while len(points) < n:
+        scene = scenes[rng.integers(len(scenes))]
+        row = int(rng.integers(len(scene.held)))
+        found = example(scene, row, False, rng)
+        if found is not None:
+            points.append(found)
+            held.append(bool(scene.held[row]))
+    p = network.success(torch.from_numpy(np.array(points)), gripper).double().numpy()
+    return scores_of(p, np.array(held))
+
+
+def train_all(
+    out: Path, objects: int, settings: Settings, seeds: int, jobs: int, progress: Callable[[str, int, dict[str, float]], None]
+) -> dict[str, Any]:
+    """Scenes in OUT/scenes, training, OUT/vfas_evaluator.safetensors and OUT/metrics.json. progress(phase, step, terms)."""
+    limit_threads()
+    made = iter(range(1, objects + 1))
+    make = partial(write_scenes, out=out / "scenes", seed=settings.seed, seeds=seeds)
+    write_all(make, objects, jobs, lambda _: progress("scenes", next(made), {}))
+    data = load_scenes(out / "scenes", objects, settings.seed)
+    learning, unseen = (
+        [s for thing in part for s in thing] for part in (data[: -settings.held_out], data[-settings.held_out :])
+    )
+    network = train(learning, settings, out / "vfas_evaluator.ckpt", lambda step, terms: progress("evaluator", step, terms))
+    save_evaluator(network, out / "vfas_evaluator.safetensors")
+    metrics = {
+        "settings": asdict(settings),
+        "poses": {"training": sum(len(s.held) for s in learning), "held_out": sum(len(s.held) for s in unseen)},
+        "held_out": {"vfas_evaluator": measure(network, unseen, 1500, settings.seed)},
+    }
+    (out / "metrics.json").write_text(json.dumps(metrics, indent=1), encoding="utf-8")
+    return metrics

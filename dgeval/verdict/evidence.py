@@ -22,7 +22,7 @@ VELOCITY_TOPIC = "/dgeval/belief/velocity"
 
 @dataclass(frozen=True)
 class HandMotion:
-    """The recorded hand at even times: t_ns (n,), T_support_hand (n, 4, 4), joint positions of its drives, rad or m (n, 15 or 2).
+    """The recorded hand at even times: t_ns (n,), T_support_hand (n, 4, 4), joint positions of its drives, rad or m (n, k).
 
     Support frame: z up from the surface the object stands on (z = 0), y along its motion. `velocity` (n, 3) m/s is what the
     hand would follow with if it closed there: the robot's belief where it is recorded, else the object's velocity.
