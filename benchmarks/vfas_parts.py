@@ -97,9 +97,9 @@ def spread_against_robustness(per_object: int) -> str:
     s, q, r = np.array(spread), np.array(quality), np.array(robust)
     certain = np.abs(r - 0.5) > 0.4  # all or nearly all, none or nearly none
     lines = [
-        f"{len(r)} free grasps of the nine, each tried {REPETITIONS} times 4 mm and 3 degrees off (1 sigma); robustness is the "
-        f"share that held. Spearman's correlation of quality with it {spearmanr(q, r)[0]:.2f}; of the spread with how undecided "
-        f"it is (1 - |2 r - 1|) {spearmanr(s, 1 - np.abs(2 * r - 1))[0]:.2f}. "
+        f"{len(r)} free grasps of the nine, each tried {REPETITIONS} times 4 mm and 3 degrees off (1 sigma); robustness is "
+        f"the share that held. Spearman's correlation of quality with it {spearmanr(q, r)[0]:.2f}; of the spread with "
+        f"how undecided it is (1 - |2 r - 1|) {spearmanr(s, 1 - np.abs(2 * r - 1))[0]:.2f}. "
         f"Mean spread where all or none hold {s[certain].mean():.2f}, in between {s[~certain].mean():.2f}."
     ]
     return "\n".join(lines)

@@ -122,10 +122,12 @@ def reference(network: GraspEvaluator, scene: np.ndarray, gripper: np.ndarray) -
 
 
 def filled(sizes: Sizes | None = None) -> GraspEvaluator:
-    """Weights and running statistics far from their beginnings."""
+    """Weights and running statistics far from their beginnings; large enough that every input shows in the output."""
     torch.manual_seed(3)
     network = GraspEvaluator(sizes) if sizes is not None else GraspEvaluator()
-    for module in network.modules():
+    for module in network.evaluator.modules():
+        if isinstance(module, torch.nn.Conv2d | torch.nn.Linear):
+            torch.nn.init.normal_(module.weight, std=float(2 / module.weight.shape[1] ** 0.5))
         if isinstance(module, torch.nn.BatchNorm1d | torch.nn.BatchNorm2d):
             assert module.running_mean is not None
             assert module.running_var is not None
@@ -142,9 +144,11 @@ def test_network_is_the_published_one(sizes: Sizes | None) -> None:
     network = filled(sizes)
     rng = np.random.default_rng(1)
     scene = rng.uniform(-0.06, 0.06, (2, network.sizes.scene, 3)).astype(np.float32)
+    scene[1] *= 0.6
     gripper = rng.uniform(-0.05, 0.05, (2, network.sizes.gripper, 3)).astype(np.float32)
     with torch.no_grad():
         logits, sure = network(torch.from_numpy(scene), torch.from_numpy(gripper))
+    assert abs(float(logits[0] - logits[1])) > 0.02  # a network that says the same of everything would prove nothing
     for k in range(2):
         logit, confidence = reference(network, scene[k], gripper[k])
         assert float(logits[k, 0]) == pytest.approx(logit, abs=1e-4)
@@ -258,13 +262,21 @@ def test_leading_eight_alone_are_tried_with_noise() -> None:
 def test_region_grows_by_30_percent_up_to_three_and_falls_back() -> None:
     """PAPERS B3: 1, 1.3, 1.69, 2.197, 2.856, 3; and N with it."""
     good = [False]
-    config = VfasConfig(k1=0.0, k2=0.0)
-    judge = Told(config, lambda _, T: np.full(len(T), 0.9 if good[0] else 0.1))
-    planner = Vfas(judge, config, 0, np.eye(4))
+    seen: list[np.ndarray] = []
+    config = VfasConfig(k1=0.0, k2=0.0, low_pass=False)
+
+    def quality(_: np.ndarray, T: np.ndarray) -> np.ndarray:
+        if len(T) > 8:
+            seen.append(np.linalg.inv(T[0]) @ T)  # the seed is the first of them
+        return np.full(len(T), 0.9 if good[0] else 0.1)
+
+    planner = Vfas(Told(config, quality), config, 0, np.eye(4))
     cloud = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3))
     found = [planner.step(k, 0.05, cloud, None, None) for k in range(7)]
     assert np.allclose([s.factor for s in found], [1, 1.3, 1.69, 2.197, 2.8561, 3, 3])
     assert [s.n for s in found] == [64, 83, 108, 141, 183, 192, 192]
+    angle = max(np.degrees(distances(np.eye(4), T)[1]).max() for T in seen)
+    assert 15.5 < angle < 15 * 2**0.5 + 0.1  # 5 degrees of pitch and of yaw, three times as far
     good[0] = True
     planner.step(7, 0.05, cloud, None, None)
     assert planner.step(8, 0.05, cloud, None, None).factor == 1.0
@@ -374,8 +386,10 @@ def test_motion_field_takes_the_cameras_own_motion_out() -> None:
 
 
 def test_proportional_twist_goes_to_the_goal() -> None:
-    """Catches a rotation in the wrong axes: integrated, the command ends at the goal."""
+    """Catches a rotation in the wrong axes: followed for a time constant, and in small steps, the command ends at the goal."""
     T, goal = increment(np.array([0.2, 0.1, 0, 0.5, 0, 1.0])), increment(np.array([0, 0.3, 0.1, -0.2, 0.4, 0]))
+    whole = proportional_twist(T, goal, 2.0) / 2.0
+    assert np.allclose(increment(np.concatenate([np.zeros(3), whole[3:]]))[:3, :3] @ T[:3, :3], goal[:3, :3], atol=1e-9)
     for _ in range(400):
         twist = proportional_twist(T, goal, 2.0) * 0.01
         move = increment(np.concatenate([np.zeros(3), twist[3:]]))

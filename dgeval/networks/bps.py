@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import small_gicp
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 SEED = 13  # of the bps library
 
@@ -33,6 +33,6 @@ def encode(cloud: NDArray[np.floating], points: NDArray[np.float32]) -> NDArray[
     """
     if len(cloud) == 0:
         raise ValueError("an empty cloud has no encoding")
-    # a balanced tree of a few thousand points costs more to build than it saves
-    tree = cKDTree(cloud, balanced_tree=False, compact_nodes=False)
-    return np.asarray(tree.query(points)[0], dtype=np.float32)
+    # the fastest of four, benchmarks/results/ffhnet.md; it gives squared distances
+    _, squared = small_gicp.KdTree(np.asarray(cloud, dtype=np.float64)).batch_nearest_neighbor_search(points.astype(np.float64))
+    return np.sqrt(squared, dtype=np.float32)
