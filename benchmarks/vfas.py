@@ -46,6 +46,13 @@ PAPER = {
 }
 
 
+ENDS = ("held", "lost", "never closed", "no seed in reach")
+STAND_INS = (
+    "Seeds are known grasps with a drawn error (15 mm and 6 degrees on each axis, 1 sigma) in place of Contact-GraspNet's; DIS "
+    "stands in for GMFlow; the evaluator is dgeval's own; fingers slide. Intervals: Wilson, 95 %."
+)
+
+
 def scenario_of(arm: str) -> Scenario:
     name, changes = ARMS[arm]
     scenario = load_scenario(name)
@@ -113,6 +120,12 @@ def by(results: dict[str, list[dict[str, Any]]], key: str) -> str:
     return table(["", *[str(v) for v in values], "all", "paper"], rows)
 
 
+def middle(results: list[dict[str, Any]], key: str) -> str:
+    """Median over trials that have one."""
+    values = [r[key] for r in results if r[key] is not None]
+    return number(float(np.median(values)), 2) if values else "–"
+
+
 def paired(results: dict[str, list[dict[str, Any]]], before: str, after: str) -> str:
     old, new = ([r["ended"] == "held" for r in results[arm]] for arm in (before, after))
     worse, better, p = mcnemar(old, new)
@@ -137,33 +150,26 @@ def main() -> None:
             for arm in arms
         }
         results = {arm: [w.result() for w in of] for arm, of in waiting.items()}
-    parts = [
-        "Seeds are known grasps with a drawn error (15 mm and 6 degrees on each axis, 1 sigma) in place of Contact-GraspNet's; "
-        "DIS stands in for GMFlow; the evaluator is dgeval's own; fingers slide. Intervals: Wilson, 95 %."
-    ]
-    for kind, pair in (
-        ("static", ("static, seed as given", "static, VFAS")),
-        ("turntable", ("turntable, adaptive off", "turntable, adaptive on")),
-        ("handover", None),
-    ):
-        of = {arm: rows for arm, rows in results.items() if arm.startswith(kind)}
-        if not of:
-            continue
-        parts += [f"## {kind}", by(of, "object")]
+    for kind in options.only.split(","):
+        of = {arm: rows for arm, rows in results.items() if arm.split(",")[0] == kind}
+        parts = [STAND_INS, by(of, "object")]
         if kind == "turntable":
             parts.append("By nominal speed, mm/s:\n\n" + by(of, "group"))
-        if pair:
-            parts.append(paired(results, *pair))
-    ends = ["held", "lost", "never closed", "no seed in reach"]
-    rows = [
-        [arm, *[str(sum(r["ended"] == e for r in found)) for e in ends],
-         number(float(np.median([r["jump_mm"] for r in found if r["jump_mm"] is not None] or [np.nan])), 2),
-         number(float(np.median([r["jump_deg"] for r in found if r["jump_deg"] is not None] or [np.nan])), 2)]
-        for arm, found in results.items()
-    ]  # fmt: skip
-    parts += ["## How they ended, and jumps of the selected grasp", table(["", *ends, "jump mm", "jump deg"], rows)]
-    command = f"python -m benchmarks.vfas --seed {options.seed}" + (f" --trials {options.trials}" if options.trials else "")
-    print(write("vfas", "VFAS-Grasp in closed loop", command, parts).read_text())
+        if len(of) == 2:
+            parts.append(paired(of, *of))
+        rows = [
+            [
+                arm,
+                *[str(sum(r["ended"] == e for r in found)) for e in ENDS],
+                middle(found, "jump_mm"),
+                middle(found, "jump_deg"),
+            ]
+            for arm, found in of.items()
+        ]
+        parts += ["How they ended, and the median jump of the seed:", table(["", *ENDS, "jump mm", "jump deg"], rows)]
+        command = f"python -m benchmarks.vfas --only {kind} --seed {options.seed}"
+        command += f" --trials {options.trials}" if options.trials else ""
+        print(write(f"vfas-{kind}", f"VFAS-Grasp in closed loop: {kind}", command, parts).read_text())
 
 
 if __name__ == "__main__":

@@ -57,5 +57,5 @@ def test_broken_files_are_usage_errors(tmp_path: Path, text: str) -> None:
 
 
 def test_unknown_pipeline_is_named() -> None:
-    with pytest.raises(UsageError, match="vfas"):
-        load_config("vfas")
+    with pytest.raises(UsageError, match="vfa"):
+        load_config("vfa")

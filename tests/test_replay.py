@@ -167,7 +167,7 @@ def test_json_is_the_only_thing_on_standard_output(dgeval: Run, demo: Path, tmp_
         ("--frames", "5"),
         ("--frames", "0:9999"),
         ("--set", "traking.method=csrt"),
-        ("--pipeline", "vfas"),
+        ("--pipeline", "vfa"),
         ("--set", "roles.colour=/nothing"),
     ],
 )
