@@ -11,11 +11,13 @@ import torch
 from dgeval.geometry import invert, transform
 from dgeval.networks.bps import basis
 from dgeval.networks.ffhnet import palms_of
+from dgeval.networks.pointnet2 import VFAS, load_evaluator
 from dgeval.physics.objects import procedural_object, surface_points, ten_objects
 from dgeval.simulation.clouds import seen_from
-from dgeval.training import ffhnet
+from dgeval.training import ffhnet, loop, vfas
 from dgeval.training.ffhnet import Settings, batch_of, load_objects
 from dgeval.training.grasp_data import make_grasps, read_grasps, write_grasps
+from dgeval.training.jaw_data import write_scenes
 from dgeval.training.pool import write_all
 from dgeval.training.ship import scores_of
 from dgeval.training.views import random_camera, views_of
@@ -93,7 +95,7 @@ def test_a_resumed_run_ends_like_an_uninterrupted_one(
 ) -> None:
     objects = load_objects(grasps, SMALL, 6, 0)[:3]
     whole = ffhnet.train(kind, objects, SMALL, tmp_path / "whole", lambda *_: None)
-    monkeypatch.setattr(ffhnet, "SAVE_EVERY", 5)
+    monkeypatch.setattr(loop, "SAVE_EVERY", 5)
 
     class StoppedError(Exception):
         pass
@@ -123,3 +125,21 @@ def test_palms_keep_their_place() -> None:
     T[:3, 3] = (0.1, 0.2, 0.3)
     palms = palms_of(T[None], np.zeros((1, 15)))
     np.testing.assert_allclose(palms.translation, [[0.1, 0.2, 0.3]], atol=1e-7)
+
+
+@pytest.mark.slow
+def test_jaw_scenes_train_an_evaluator(tmp_path: Path) -> None:
+    """Catches labels that are all alike, views from where nothing is seen, and a file that another seed would give."""
+    settings = vfas.Settings(steps=2, batch=4, held_out=1)
+    metrics = vfas.train_all(tmp_path, 3, settings, 2, 1, lambda *_: None)
+    assert metrics["poses"] == {"training": 4 * 24, "held_out": 2 * 24}
+    scenes = vfas.load_scenes(tmp_path / "scenes", 3, 0)
+    held = np.concatenate([s.held for thing in scenes for s in thing])
+    assert 0 < held.mean() < 1
+    for thing in scenes:
+        for scene in thing:
+            assert 0.05 < np.linalg.norm(scene.points, axis=1).min() + 0.05 < 0.12  # something near the seed is seen
+            assert scene.table.any()
+    assert load_evaluator(tmp_path / "vfas_evaluator.safetensors").sizes == VFAS
+    again = write_scenes(0, tmp_path / "again", 0, 2)
+    assert np.load(again)["held"].tolist() == np.load(tmp_path / "scenes" / again.name)["held"].tolist()
