@@ -35,4 +35,4 @@ def encode(cloud: NDArray[np.floating], points: NDArray[np.float32]) -> NDArray[
         raise ValueError("an empty cloud has no encoding")
     # the fastest of four, benchmarks/results/ffhnet.md; it gives squared distances
     _, squared = small_gicp.KdTree(np.asarray(cloud, dtype=np.float64)).batch_nearest_neighbor_search(points.astype(np.float64))
-    return np.sqrt(squared, dtype=np.float32)
+    return np.asarray(np.sqrt(squared), dtype=np.float32)
