@@ -176,6 +176,10 @@ class VfasConfig(Section):
     evaluator: str | None = Field(
         None, description="weights, .safetensors or 6-DoF GraspNet's latest_net.pth; default: shipped"
     )
+    labels: Literal["vfas", "jsll"] | None = Field(
+        None, description="of scene and gripper points, 0/1 or 1/0; default: as the weights were trained (PAPERS B8)"
+    )
+    centre: Literal["grasp", "mean"] | None = Field(None, description="what points are relative to; default: as the weights'")
     candidates: int = Field(64, ge=1, le=4096, description="N, grasps drawn per iteration (ours)")
     half_width: float = Field(0.02, gt=0, description="m on each axis of the seed (paper)")
     half_angle: float = Field(5.0, ge=0, description="degrees of pitch and yaw (paper)")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dgeval.config import OneEuroConfig, VfasConfig
+from dgeval.config import OneEuroConfig, VfasConfig, load_config
 from dgeval.errors import DgevalError
 from dgeval.geometry import Intrinsics, increment, rotation_angle
 from dgeval.networks.checkpoints import read_weights
@@ -19,7 +19,7 @@ from dgeval.physics.jaw import DISTAL, OPENING, PROXIMAL, link_points
 from dgeval.stages.motion_field import MotionField, dis_flow
 from dgeval.stages.one_euro import OneEuroFilter, PoseFilter
 from dgeval.stages.vfas import GraspJudge, Vfas, distances, perturbed
-from dgeval.stages.vfas_loop import evaluator_of, proportional_twist
+from dgeval.stages.vfas_loop import VfasLoop, evaluator_of, proportional_twist
 
 # the 1 euro filter
 
@@ -383,6 +383,21 @@ def test_motion_field_takes_the_cameras_own_motion_out() -> None:
     found = still.step(50_000_000, textured(px), depth, CAMERA, beside, centre, 0.05)
     assert found is not None
     assert np.linalg.norm(found) < 0.005
+
+
+def test_public_weights_judge_in_the_loop(tmp_path: Path) -> None:
+    """6-DoF GraspNet's container through the planner: 1024 points about their mean, control points, its labels or ours."""
+    torch.save({"model_state_dict": filled().state_dict()}, tmp_path / "latest_net.pth")
+    rng = np.random.default_rng(0)
+    cloud = rng.uniform(-0.05, 0.05, (2000, 3))
+    found = []
+    for changes in ({}, {"labels": "vfas"}, {"centre": "grasp"}):
+        config = load_config("vfas").model_copy(
+            update={"vfas": VfasConfig(evaluator=str(tmp_path / "latest_net.pth"), candidates=3, **changes)}  # type: ignore[arg-type]
+        )
+        judge = VfasLoop(config, np.eye(4))._judge
+        found.append(judge.quality([cloud], np.tile(np.eye(4), (2, 1, 1)))[0, 0])
+    assert len({f"{q:.3e}" for q in found}) == 3  # each reaches the network
 
 
 def test_proportional_twist_goes_to_the_goal() -> None:

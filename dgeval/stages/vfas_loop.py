@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -87,7 +88,12 @@ class VfasLoop:
 
     def __init__(self, config: Config, T_base_seed: Array | None) -> None:
         self._config, self._given = config, T_base_seed
-        self._judge = GraspJudge(evaluator_of(config.vfas.evaluator), config.vfas)
+        network, c = evaluator_of(config.vfas.evaluator), config.vfas
+        if c.labels is not None or c.centre is not None:
+            sizes = replace(network.sizes, labels=c.labels or network.sizes.labels, centre=c.centre or network.sizes.centre)
+            network, trained = GraspEvaluator(sizes).eval(), network
+            network.load_state_dict(trained.state_dict())
+        self._judge = GraspJudge(network, c)
         self._motion = MotionField(dis_flow())
         self._planner: Vfas | None = None
         self._last_ns = 0
