@@ -26,6 +26,7 @@ from dgeval.geometry import Array, rotation_angle  # noqa: E402
 from dgeval.report.statistics import wilson  # noqa: E402
 from dgeval.simulation.campaign import Campaign, plan_of, simulate  # noqa: E402
 from dgeval.simulation.scenario import Scenario, load_scenario  # noqa: E402
+from dgeval.simulation.trial import Run  # noqa: E402
 
 from benchmarks.result import number, source_digest, table, write  # noqa: E402
 
@@ -53,8 +54,8 @@ STAND_INS = (
 )
 
 
-def scenario_of(arm: str) -> Scenario:
-    name, changes = ARMS[arm]
+def scenario_of(name: str, changes: dict[str, Any]) -> Scenario:
+    """A scenario with other values in its `vfas` section."""
     scenario = load_scenario(name)
     vfas = scenario.pipeline.vfas.model_copy(update=changes)
     return scenario.model_copy(update={"pipeline": scenario.pipeline.model_copy(update={"vfas": vfas})})
@@ -63,7 +64,7 @@ def scenario_of(arm: str) -> Scenario:
 def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
     """One trial: held or how it ended, and the median jump of the selected grasp while it was approached."""
     limit_threads()
-    scenario = scenario_of(arm)
+    scenario = scenario_of(*ARMS[arm])
     campaign = Campaign(scenario, seed, 1, out)
     plan = plan_of(campaign, index)
     path = out / arm.replace(", ", "-").replace(" ", "-") / f"{plan.id}.json"
@@ -74,9 +75,7 @@ def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
     run, _ = simulate(campaign, plan)
     held = run.finish is not None and run.finish.success
     ended = "held" if held else "no seed in reach" if len(run.ticks) < 2 else "never closed" if run.close is None else "lost"
-    poses = [run.ticks[f.tick].T_base_grasp for f in run.frames if f.tick < len(run.ticks)]
-    pairs = [(a, b) for a, b in pairwise(poses) if a is not None and b is not None and b is not a]
-    metres, degrees = jumps(pairs)
+    metres, degrees = jumps(seed_pairs(run))
     result = {
         "id": plan.id,
         "object": plan.object,
@@ -90,6 +89,12 @@ def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
     path.write_text(json.dumps(result))
     print(f"{arm}: {plan.id}: {ended}", flush=True)
     return result
+
+
+def seed_pairs(run: Run) -> list[tuple[Array, Array]]:
+    """The seed, T_base_grasp, of each iteration and of the one before it."""
+    poses = [run.ticks[f.tick].T_base_grasp for f in run.frames if f.tick < len(run.ticks)]
+    return [(a, b) for a, b in pairwise(poses) if a is not None and b is not None and b is not a]
 
 
 def jumps(pairs: Sequence[tuple[Array, Array]]) -> tuple[float | None, float | None]:
@@ -145,7 +150,7 @@ def main() -> None:
         waiting = {
             arm: [
                 pool.submit(outcome, arm, options.seed, k, options.out)
-                for k in range(options.trials or scenario_of(arm).trials)
+                for k in range(options.trials or scenario_of(*ARMS[arm]).trials)
             ]
             for arm in arms
         }

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from itertools import pairwise
 from typing import Any
 
 from dgeval.determinism import generator, limit_threads, set_thread_variables
@@ -18,7 +17,7 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
-from dgeval.geometry import Array, increment, invert  # noqa: E402
+from dgeval.geometry import increment, invert  # noqa: E402
 from dgeval.networks.pointnet2 import PUBLIC, VFAS, GraspEvaluator  # noqa: E402
 from dgeval.physics.jaw import link_points  # noqa: E402
 from dgeval.physics.objects import at, eight_objects, procedural_object, surface_points  # noqa: E402
@@ -34,7 +33,7 @@ from dgeval.training.vfas import measure  # noqa: E402
 from scipy.stats import spearmanr  # noqa: E402
 
 from benchmarks.result import number, table, write  # noqa: E402
-from benchmarks.vfas import jumps  # noqa: E402
+from benchmarks.vfas import jumps, scenario_of, seed_pairs  # noqa: E402
 
 UNSEEN = range(63, 72)  # procedural objects that trained nothing
 REPETITIONS = 8
@@ -55,7 +54,7 @@ def quality_by_set(seeds: int) -> str:
         "the paper's eight": list(eight_objects().values()),
     }
     for name, things in sets.items():
-        scenes = [s for t in things for s in scenes_of(t, [procedural_object(1003, 0)], 7, seeds)]
+        scenes = [s for t in things for s in scenes_of(t, procedural_object(1003, 0), 7, seeds)]
         found = measure(network, scenes, 1500, 1)
         poses = str(sum(len(s.held) for s in scenes))
         rows.append([name, poses, *(number(found[k], 3) for k in ("held", "auc", "brier", "ece"))])
@@ -127,20 +126,14 @@ def left_out(trials: int) -> str:
     """Jump of the seed per iteration in closed loop, table and turntable, and what became of the trials."""
     rows = []
     for name in ("table-clearing", "turntable"):
-        scenario = load_scenario(name)
         for what, changes in WITHOUT.items():
-            vfas = scenario.pipeline.vfas.model_copy(update=changes)
-            changed = scenario.model_copy(update={"pipeline": scenario.pipeline.model_copy(update={"vfas": vfas})})
+            changed = scenario_of(name, changes)
             held, metres, degrees = 0, [], []
             for k in range(trials):
                 campaign = Campaign(changed, 1, 1, Path("unused"))
                 run, _ = simulate(campaign, plan_of(campaign, k + (8 if name == "turntable" else 0)))
                 held += run.finish is not None and run.finish.success
-                poses: list[Array] = [
-                    T for f in run.frames if f.tick < len(run.ticks) and (T := run.ticks[f.tick].T_base_grasp) is not None
-                ]
-                pairs = [(a, b) for a, b in pairwise(poses) if a is not b]
-                each = [jumps([pair]) for pair in pairs]
+                each = [jumps([pair]) for pair in seed_pairs(run)]
                 metres += [m for m, _ in each if m is not None]
                 degrees += [d for _, d in each if d is not None]
             of = [np.median(metres), np.quantile(metres, 0.95), np.median(degrees), np.quantile(degrees, 0.95)]

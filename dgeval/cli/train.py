@@ -19,7 +19,7 @@ EXAMPLES = """\b
 Examples:
   dgeval train ffhnet --out runs/ffhnet --jobs 2        (more than an hour on two cores)
   dgeval train ffhnet --out runs/quick --objects 18 --tried 60 --views 20 --steps 200
-  dgeval train vfas --out runs/vfas --jobs 2            (three quarters of an hour)
+  dgeval train vfas --out runs/vfas --jobs 2            (its steps took 10 and 26 minutes)
 
 Stopped runs go on where they were. Use what comes out with
   dgeval replay … --set grasps.generator=runs/ffhnet/ffhnet_generator.safetensors \

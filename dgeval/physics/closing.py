@@ -29,6 +29,11 @@ def finishing_twist(since_close: float, velocity: Array) -> Array:
     return twist
 
 
+def swing(since: float, metres: float) -> Array:
+    """Sideways offset (2,) m of a shake at 5 Hz, to and fro by so much, begun at rest; its peak is metres * 493 / s^2."""
+    return np.asarray(metres * (1 - np.cos(2 * np.pi * since / 0.2)) / 2 * np.array([0.8, 0.6]))
+
+
 def finger_targets(since_close: float, preshape: Array) -> Array:
     """Finger drives (15,) a time after the close command, s."""
     closing = float(np.clip(since_close / CLOSE_S, 0.0, 1.0))

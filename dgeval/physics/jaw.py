@@ -82,13 +82,13 @@ def finger_targets(since_close: float, preshape: Array) -> Array:
     return np.asarray(np.clip(preshape - CLOSE_SPEED * max(since_close, 0.0), PRESSED, TRAVEL))
 
 
-def link_points(n: int, rng: np.random.Generator, opening: float = OPENING) -> Array:
+def link_points(n: int, rng: np.random.Generator) -> Array:
     """Points (n, 3) m, grasp frame, uniform on the surfaces of the proximal and distal links of an open gripper.
 
     The gripper's cloud of VFAS-Grasp (section III-B).
     """
     boxes = [
-        (np.array(half), np.array([side * (centre[0] + opening / 2), *centre[1:]]))
+        (np.array(half), np.array([side * (centre[0] + OPENING / 2), *centre[1:]]))
         for half, centre in (DISTAL, PROXIMAL)
         for side in (1.0, -1.0)
     ]

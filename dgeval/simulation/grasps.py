@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, matrix_from_pose
-from dgeval.physics.closing import CLOSE_S, LIFT_HEIGHT, LIFT_S, SETTLE_S, finger_targets
+from dgeval.physics.closing import CLOSE_S, LIFT_HEIGHT, LIFT_S, SETTLE_S, finger_targets, swing
 from dgeval.physics.hand import ACTUATED, RADIUS, T_hand_palm, quat_wxyz
 from dgeval.physics.objects import ObjectModel, at
 from dgeval.physics.scene import TIMESTEP, build
@@ -110,9 +110,7 @@ class FlyingHand:
         for k in range(steps):
             t = k * TIMESTEP
             if shake and t > lifted:
-                # half a second's worth of a 5 Hz swing across the lift, begun and ended at rest
-                phase = 2 * np.pi * (t - lifted) / 0.2
-                d.mocap_pos[0, :2] = start[:2] + SHAKE * (1 - np.cos(phase)) / 2 * np.array([0.8, 0.6])
+                d.mocap_pos[0, :2] = start[:2] + swing(t - lifted, SHAKE)
             d.ctrl[self._drives] = finger_targets(t, preshape)
             rise = float(np.clip((t - CLOSE_S - SETTLE_S) / LIFT_S, 0, 1))
             d.mocap_pos[0, 2] = start[2] + LIFT_HEIGHT * rise * rise * (3 - 2 * rise)

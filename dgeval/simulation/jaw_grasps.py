@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
+from dgeval.physics.closing import swing
 from dgeval.physics.hand import quat_wxyz
 from dgeval.physics.jaw import CLOSE_S, JOINT_NAMES, OPEN, OPENING, T_hand_grasp, finger_targets
 from dgeval.physics.objects import ObjectModel, at, surface_points
@@ -15,7 +16,7 @@ from dgeval.physics.scene import TIMESTEP, Camera, build
 
 PREGRASP_M = 0.10  # m before the grasp along its approach; ours, the paper gives no figure
 LIFT_M, LIFT_S, HOLD_S = 0.10, 0.5, 0.3
-SHAKE_M = 0.02  # m, to and fro at 5 Hz: 2 g
+SHAKE_M = 0.02  # m, to and fro at 5 Hz: 1 g
 
 
 class FlyingJaw:
@@ -79,8 +80,7 @@ class FlyingJaw:
             rise = float(np.clip((t - CLOSE_S) / LIFT_S, 0, 1))
             d.mocap_pos[0, 2] = start[2] + LIFT_M * rise * rise * (3 - 2 * rise)
             if t > lifted:
-                phase = 2 * np.pi * (t - lifted) / 0.2
-                d.mocap_pos[0, :2] = start[:2] + SHAKE_M * (1 - np.cos(phase)) / 2 * np.array([0.8, 0.6])
+                d.mocap_pos[0, :2] = start[:2] + swing(t - lifted, SHAKE_M)
             mujoco.mj_step(m, d)
             if k % 25 == 0 and rise > 0.5 and d.qpos[self._at["object"] + 2] < low + 0.02:
                 return False

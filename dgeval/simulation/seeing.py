@@ -37,6 +37,22 @@ def encode(colour: NDArray[np.uint8], quality: int) -> bytes:
     return bytes(cv2.imencode(".jpg", colour[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
 
 
+def look(
+    index: int, t_ns: int, world: World, eyes: Eyes, hand: Description, quality: int
+) -> tuple[Frame, bytes, NDArray[np.uint16]]:
+    """A frame as replay will read it: colour through JPEG, depth in counts, the hand's solids; and the images to record."""
+    colour, depth = eyes.look(index)
+    jpeg = encode(colour, quality)
+    decoded = np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)[:, :, ::-1]
+    metres = depth.astype(np.float32) * np.float32(eyes.profile.depth_unit)
+    T_base_camera = world.T_base_hand() @ world.gripper.T_hand_camera
+    frame = Frame(
+        index, t_ns, np.ascontiguousarray(decoded), metres, eyes.cameras[0].intrinsics, T_base_camera,
+        world.T_base_palm(), hand_shapes(hand, world, T_base_camera),
+    )  # fmt: skip
+    return frame, jpeg, depth
+
+
 class RenderedPerception:
     """Draws what the camera sees, as it is recorded, and runs the stages on it; keeps the images for the recording.
 
@@ -47,7 +63,6 @@ class RenderedPerception:
     def __init__(self, scenario: Scenario, plan: Plan, eyes: Eyes) -> None:
         config = scenario.pipeline
         self._eyes, self._plan = eyes, plan
-        self._unit = eyes.profile.depth_unit
         self._perception = Perception(config.model_copy(update={"seed": plan.seed}))
         self._hand = load_description(robot_urdf(T_hand_camera), "the simulated robot", (), config.self_filter.radius_default)
         self._T_model_object: Array | None = None
@@ -57,23 +72,15 @@ class RenderedPerception:
         self.kept: dict[int, Images] = {}
 
     def see(self, frame: int, t_ns: int, world: World) -> Sight:
-        colour, depth = self._eyes.look(frame)
-        jpeg = encode(colour, self._quality)
-        decoded = np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)[:, :, ::-1]
-        metres = depth.astype(np.float32) * np.float32(self._unit)
-        T_base_camera = world.T_base_hand() @ T_hand_camera
+        taken, jpeg, depth = look(frame, t_ns, world, self._eyes, self._hand, self._quality)
+        T_base_camera = taken.T_base_camera
+        assert T_base_camera is not None
         box = None
         if not self._started:
             box = self._eyes.box()
             self._started = box is not None
         camera = self._eyes.cameras[0]
-        seen = self._perception.step(
-            Frame(
-                frame, t_ns, np.ascontiguousarray(decoded), metres, camera.intrinsics,
-                T_base_camera, world.T_base_palm(), hand_shapes(self._hand, world, T_base_camera),
-            ),
-            T_base_camera, box, lambda _: None,
-        )  # fmt: skip
+        seen = self._perception.step(taken, T_base_camera, box, lambda _: None)
         mask = None
         if seen.tracked.mask is not None and seen.tracked.window is not None:
             x0, y0, x1, y1 = seen.tracked.window

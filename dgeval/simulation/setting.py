@@ -19,8 +19,12 @@ class Turn:
     speed: float
     angle: float
 
+    @property
+    def end(self) -> float:
+        return self.start + self.angle / abs(self.speed)
+
     def speed_at(self, t: float) -> float:
-        return self.speed if self.start <= t < self.start + self.angle / abs(self.speed) else 0.0
+        return self.speed if self.start <= t < self.end else 0.0
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,7 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
                 command = servo.step(t_ns, palm, T_grasp, world.T_base_hand() @ T_hand_camera, T_object[:3, 3], velocity_now)
                 demanded = command.twist.copy()
                 demanded[2] += faults.descent * config.servo.c_p_v * (T_grasp[2, 3] - palm[2, 3])
-                twist = demanded * min(1.0, float((MAX_TWIST / (np.abs(demanded) + 1e-12)).min()))
+                twist = limited(demanded)
                 early = max(0.0, -faults.close_shift)
                 nearer = _ahead(palm, T_grasp, early * config.servo.c_p_v)
                 score = grasps.score(proposals, chosen, T_object, nearer, T_grasp) + faults.evaluator_bias
@@ -188,6 +188,11 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
         away = plan.speed and abs(world.data.qpos[world.object + 1]) > REACH
         if away or tick * CONTROL_S > scenario.max_seconds or world.data.qpos[world.object + 2] < -0.1:
             return run
+
+
+def limited(twist: Array) -> Array:
+    """A twist (6,) scaled to what the arm may do, its direction kept."""
+    return np.asarray(twist * min(1.0, float((MAX_TWIST / (np.abs(twist) + 1e-12)).min())))
 
 
 def _ahead(palm: Array, T_grasp: Array, share: float) -> Array:

@@ -6,10 +6,8 @@ import json
 from dataclasses import dataclass
 from importlib import resources
 
-import cv2
 import numpy as np
 
-from dgeval.config import Config
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, matrix_from_pose, rotation_angle
 from dgeval.physics.closing import CONTROL_S, NEAR, TRUTH_STEP
@@ -17,12 +15,11 @@ from dgeval.physics.jaw import OPEN
 from dgeval.physics.objects import at
 from dgeval.physics.urdf import robot_urdf
 from dgeval.recording.description import load_description
-from dgeval.recording.frame import Frame
 from dgeval.simulation.jaw_grasps import search
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Plan, Scenario
-from dgeval.simulation.seeing import Images, encode, hand_shapes
-from dgeval.simulation.trial import MAX_TWIST, REACHED, FrameBelief, Run, Tick, frame_ticks
+from dgeval.simulation.seeing import Images, look
+from dgeval.simulation.trial import REACHED, FrameBelief, Run, Tick, frame_ticks, limited
 from dgeval.simulation.vfas_plan import waiting_pose
 from dgeval.simulation.world import FINISH_S, Finish, Finisher, World
 from dgeval.stages.schedule import Delayed
@@ -66,12 +63,9 @@ def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
         q, residual = world.kinematics.solve(T @ back, NEAR_HOME)
         if residual > REACHED:
             continue
-        free = True
-        for share in np.linspace(1.0, 0.0, WAYPOINTS):
-            T_way = T @ at(0, 0, -share * scenario.pipeline.vfas.pregrasp)
-            world.q_set = q if share == 1.0 else world.q_set
-            free = free and world.put_arm(T_way) < REACHED and not any(world.touching())
-        if free:
+        world.q_set = q
+        ways = (T @ at(0, 0, -share * scenario.pipeline.vfas.pregrasp) for share in np.linspace(1.0, 0.0, WAYPOINTS))
+        if all(world.put_arm(way) < REACHED and not any(world.touching()) for way in ways):
             error = scenario.seed_error
             xi = np.concatenate([rng.normal(0, error.position, 3), rng.normal(0, np.radians(error.angle), 3)])
             T_seed = T @ increment(xi)
@@ -92,19 +86,21 @@ def run_vfas(plan: Plan, scenario: Scenario, world: World, eyes: Eyes) -> tuple[
         run.ticks.append(Tick(world.save(), None, None, None, np.zeros(3), np.zeros(6), None, False, False, False, None))
         return run, kept
     run.T_base_seed = seed.T_base_seed
-    look = _Look(scenario, config, world, eyes, kept)
+    urdf = robot_urdf(world.gripper.T_hand_camera, world.gripper)
+    hand_model = load_description(urdf, "the simulated robot", (), config.self_filter.radius_default)
     loop = VfasLoop(config, seed.T_base_seed)
     arriving: Delayed[Selected] = Delayed(config.schedule.perception_latency_s)
     frames = set(frame_ticks(scenario.camera.rate, scenario.max_seconds + FINISH_S + 1))
     turn = world.setting.turn
-    stopped = 0.0 if turn is None else turn.start + turn.angle / abs(turn.speed)
+    stopped = 0.0 if turn is None else turn.end
     finisher: Finisher | None = None
     advancing: int | None = None
     n_frame = tick = 0
     while True:
         t_ns = round(tick * CONTROL_S * 1e9)
         if tick in frames:
-            frame = look.frame(n_frame, t_ns)
+            frame, jpeg, depth = look(n_frame, t_ns, world, eyes, hand_model, scenario.camera.jpeg_quality)
+            kept[n_frame] = Images(jpeg, depth, None)
             if advancing is None:
                 assert frame.T_base_camera is not None
                 selected = loop.step(frame, frame.T_base_camera, tick * CONTROL_S >= stopped)
@@ -131,8 +127,7 @@ def run_vfas(plan: Plan, scenario: Scenario, world: World, eyes: Eyes) -> tuple[
             chosen = newest[1]
             T_grasp, execute = chosen.T_base_seed, chosen.execute
             score = None if np.isnan(chosen.score) else chosen.score
-            demanded = proportional_twist(hand, chosen.T_base_goal, config.vfas.gain)
-            twist = demanded * min(1.0, float((MAX_TWIST / (np.abs(demanded) + 1e-12)).min()))
+            twist = limited(proportional_twist(hand, chosen.T_base_goal, config.vfas.gain))
             if execute and advancing is None:
                 advancing = tick
         distance = world.hand_distance(NEAR) if tick % TRUTH_STEP == 0 else None
@@ -150,27 +145,3 @@ def run_vfas(plan: Plan, scenario: Scenario, world: World, eyes: Eyes) -> tuple[
         tick += 1
         if tick * CONTROL_S > scenario.max_seconds or world.data.qpos[world.object + 2] < -0.1:
             return run, kept
-
-
-class _Look:
-    """Frames as replay will read them: colour through JPEG, depth in counts, the hand's solids as the description has them."""
-
-    def __init__(self, scenario: Scenario, config: Config, world: World, eyes: Eyes, kept: dict[int, Images]) -> None:
-        self._eyes, self._world, self._kept = eyes, world, kept
-        self._quality = scenario.camera.jpeg_quality
-        T_hand_camera = world.gripper.T_hand_camera
-        urdf = robot_urdf(T_hand_camera, world.gripper)
-        self._hand = load_description(urdf, "the simulated robot", (), config.self_filter.radius_default)
-
-    def frame(self, index: int, t_ns: int) -> Frame:
-        colour, depth = self._eyes.look(index)
-        jpeg = encode(colour, self._quality)
-        self._kept[index] = Images(jpeg, depth, None)
-        decoded = np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)[:, :, ::-1]
-        world = self._world
-        T_base_camera = world.T_base_hand() @ world.gripper.T_hand_camera
-        metres = depth.astype(np.float32) * np.float32(self._eyes.profile.depth_unit)
-        return Frame(
-            index, t_ns, np.ascontiguousarray(decoded), metres, self._eyes.cameras[0].intrinsics, T_base_camera,
-            world.T_base_palm(), hand_shapes(self._hand, world, T_base_camera),
-        )  # fmt: skip

@@ -78,10 +78,9 @@ def view(
     return local[kept], (along.ravel() < GRAZING)[kept], (base[:, 2] < 0.002)[kept]
 
 
-def scenes_of(thing: ObjectModel, others: list[ObjectModel], seed: int, seeds: int, per_seed: int = PER_SEED) -> list[Scene]:
-    """Up to `seeds` scenes of an object; each draws its own pose of a second object."""
+def scenes_of(thing: ObjectModel, other: ObjectModel, seed: int, seeds: int, per_seed: int = PER_SEED) -> list[Scene]:
+    """Up to `seeds` scenes of an object; each draws its own place of the other one."""
     out: list[Scene] = []
-    other = others[int(generator(seed, f"jaw other/{thing.name}", 0).integers(len(others)))]
     world = FlyingJaw(thing, other, CAMERAS)
     surface = surface_points(thing, 6000, generator(seed, f"jaw surface/{thing.name}", 0))
     T_base_object = at(0.5, 0, thing.rest_height())
@@ -133,7 +132,7 @@ def write_scenes(index: int, out: Path, seed: int, seeds: int) -> Path:
     about = f"dgeval {__version__} jaw {VERSION} mujoco {mujoco.__version__} seed {seed} seeds {seeds}"
     if path.is_file() and str(np.load(path)["about"]) == about:
         return path
-    scenes = scenes_of(thing, [procedural_object(index + 1000, seed)], seed, seeds)
+    scenes = scenes_of(thing, procedural_object(index + 1000, seed), seed, seeds)
     part = path.with_suffix(".part.npz")
     counts = np.cumsum([0, *(len(s.points) for s in scenes)])
     stacked: dict[str, Any] = {
