@@ -180,6 +180,9 @@ class VfasConfig(Section):
         None, description="of scene and gripper points, 0/1 or 1/0; default: as the weights were trained (PAPERS B8)"
     )
     centre: Literal["grasp", "mean"] | None = Field(None, description="what points are relative to; default: as the weights'")
+    contact_graspnet: str | None = Field(
+        None, description="seeds where none is recorded: a checkpoint of cgn-pytorch, or `installed`; default: dgeval's sampler"
+    )
     candidates: int = Field(64, ge=1, le=4096, description="N, grasps drawn per iteration (ours)")
     half_width: float = Field(0.02, gt=0, description="m on each axis of the seed (paper)")
     half_angle: float = Field(5.0, ge=0, description="degrees of pitch and yaw (paper)")

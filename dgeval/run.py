@@ -246,7 +246,11 @@ def vfas_notes(config: Config, seeded: bool) -> list[str]:
     if config.vfas.noise_candidates == "top8":
         notes.append("noisy copies of the eight leading candidates, in place of all")
     if not seeded and not config.vfas.search:
-        notes.append("stand-in: a sampler scored by the evaluator in place of Contact-GraspNet's seed")
+        seeds = config.vfas.contact_graspnet
+        notes.append(
+            "stand-in: a sampler scored by the evaluator in place of Contact-GraspNet's seed" if seeds is None
+            else f"seed by Contact-GraspNet, weights {Path(seeds).name}"
+        )  # fmt: skip
     return notes
 
 

@@ -22,6 +22,7 @@ from dgeval.physics.hand import place
 from dgeval.physics.texture import Look, add_material
 
 Kind = Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "hull"]
+OBJECT_GROUP = 2  # of what is seen: the object, to be drawn alone
 GEOM = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -243,6 +244,7 @@ def add_object(spec: mujoco.MjSpec, model: ObjectModel, called: str = "object") 
     body.add_freejoint(name=called)
     material = add_material(spec, model.name if called == "object" else f"{called}_{model.name}", model.look)
     volumes = [p.volume() for p in model.parts]
+    seen_group = OBJECT_GROUP if called == "object" else 0
     for k, (part, volume) in enumerate(zip(model.parts, volumes, strict=True)):
         name = f"{called}_{k}"
         if part.kind == "hull":
@@ -258,8 +260,7 @@ def add_object(spec: mujoco.MjSpec, model: ObjectModel, called: str = "object") 
         geom.friction = [0.6, 0.005, 0.001 if model.rolls else 0.0001]
         geom.solref = [0.02, 1] if model.soft else [0.008, 1]
         geom.material = material
-        if model.mesh is not None:
-            geom.group = 3  # not drawn
+        geom.group = seen_group if model.mesh is None else 3  # the hulls of a drawn mesh are not drawn
     if model.mesh is not None:
         vertices, faces = model.mesh
         mesh = spec.add_mesh(name=f"{called}_seen", uservert=vertices.astype(np.float32).ravel(), userface=faces.ravel())
@@ -270,7 +271,7 @@ def add_object(spec: mujoco.MjSpec, model: ObjectModel, called: str = "object") 
                 shown.append(body.add_geom(type=GEOM["capsule"], size=[*part.size, 0]))
                 place(shown[-1], part.T_object_part)
         for geom in shown:
-            geom.contype, geom.conaffinity, geom.mass, geom.material, geom.group = 0, 0, 0, material, 1
+            geom.contype, geom.conaffinity, geom.mass, geom.material, geom.group = 0, 0, 0, material, seen_group
     return body
 
 

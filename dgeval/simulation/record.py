@@ -121,8 +121,8 @@ def write_recording(
 
 
 def _draw(eyes: Eyes, belief: FrameBelief, quality: int) -> Images:
-    colour, depth = eyes.look(belief.index)
-    return Images(encode(colour, quality), depth, eyes.mask() if belief.accepted else None)
+    colour, depth, mask = eyes.look(belief.index, mask=belief.accepted)
+    return Images(encode(colour, quality), depth, mask)
 
 
 def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scenario: Scenario) -> dict[str, Any]:

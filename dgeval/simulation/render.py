@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dgeval.determinism import generator
 from dgeval.errors import UsageError
+from dgeval.physics.objects import OBJECT_GROUP
 from dgeval.physics.scene import BELT_GROUP, Camera
 from dgeval.simulation.sensors import DepthProfile, align_to_colour, colour_from_depth, measure_depth
 
@@ -46,9 +47,11 @@ class Eyes:
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self._area = mujoco.MjrRect(0, 0, size.width, size.height)
         self._scene = mujoco.MjvScene(model, maxgeom=1000)
-        self._seen, self._belt, self._floor = (mujoco.MjvOption() for _ in range(3))
-        self._seen.geomgroup[:], self._belt.geomgroup[:], self._floor.geomgroup[:] = 0, 0, 0
+        self._seen, self._belt, self._floor, self._object = (mujoco.MjvOption() for _ in range(4))
+        for option in (self._seen, self._belt, self._floor, self._object):
+            option.geomgroup[:] = 0
         self._seen.geomgroup[:3], self._belt.geomgroup[BELT_GROUP], self._floor.geomgroup[0] = 1, 1, 1
+        self._object.geomgroup[OBJECT_GROUP] = 1
 
     def __enter__(self) -> Eyes:
         return self
@@ -59,14 +62,21 @@ class Eyes:
 
     def _draw(self, camera: str, segments: bool) -> None:
         """The scene as it stands into the offscreen buffer; `segments`: flat, numbered surfaces."""
-        model, data, scene = self._world.model, self._world.data, self._scene
-        view = mujoco.MjvCamera()
-        view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera(camera).id
+        model, data, scene, view = self._world.model, self._world.data, self._scene, self._from(camera)
         still, moving = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
         # what stands on the belt touches it: at equal depth the order decides, so only the floor far below is drawn last
         mujoco.mjv_updateScene(model, data, self._belt, mujoco.MjvPerturb(), view, still, scene)
         mujoco.mjv_addGeoms(model, data, self._seen, mujoco.MjvPerturb(), moving, scene)
         mujoco.mjv_addGeoms(model, data, self._floor, mujoco.MjvPerturb(), still, scene)
+        self._render(segments)
+
+    def _from(self, camera: str) -> mujoco.MjvCamera:
+        view = mujoco.MjvCamera()
+        view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._world.model.camera(camera).id
+        return view
+
+    def _render(self, segments: bool) -> None:
+        scene = self._scene
         scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = segments
         self._gl.make_current()
         mujoco.mjr_render(self._area, scene, self._context)
@@ -76,10 +86,17 @@ class Eyes:
         mujoco.mjr_readPixels(out, None, self._area, self._context)
         return out[::-1]
 
-    def look(self, frame: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-        """Colour (H, W, 3) RGB and aligned depth (H, W) in the profile's units, of the world as it stands."""
+    def _nearness(self) -> NDArray[np.float32]:
+        """OpenGL's reversed depth buffer (H, W), bottom row first, 0 where nothing is."""
+        out = np.empty((self._area.height, self._area.width), np.float32)
+        mujoco.mjr_readPixels(None, out, self._area, self._context)
+        return out
+
+    def look(self, frame: int, mask: bool = False) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_] | None]:
+        """Colour (H, W, 3) RGB, aligned depth (H, W) in the profile's units, wanted or not `mask()`, of the world."""
         self._draw("colour", False)
         colour = np.ascontiguousarray(self._pixels())
+        shown = self._mask_in(self._nearness()) if mask else None
         exact = self.exact_depth("depth")
         measured = measure_depth(
             exact, self.cameras[1].intrinsics, self.profile, generator(self._seed, f"depth/{self._index}", frame)
@@ -87,14 +104,23 @@ class Eyes:
         camera, depth_camera = self.cameras[0].intrinsics, self.cameras[1].intrinsics
         aligned = align_to_colour(measured, depth_camera, camera, colour_from_depth(self.profile), self.profile.depth_unit)
         noise = generator(self._seed, f"colour/{self._index}", frame).integers(-3, 4, colour.shape, dtype=np.int8)
-        return np.asarray(cv2.add(colour, noise, dtype=cv2.CV_8U), dtype=np.uint8), aligned
+        return np.asarray(cv2.add(colour, noise, dtype=cv2.CV_8U), dtype=np.uint8), aligned, shown
+
+    def _mask_in(self, nearness: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """`mask()` from the depth buffer of the whole scene: where the object alone is as near. Half the cost."""
+        dynamic = mujoco.mjtCatBit.mjCAT_DYNAMIC.value
+        mujoco.mjv_updateScene(
+            self._world.model, self._world.data, self._object, mujoco.MjvPerturb(), self._from("colour"), dynamic, self._scene
+        )
+        self._render(True)
+        alone = self._nearness()
+        return np.asarray(((alone == nearness) & (alone > 0))[::-1])
 
     def exact_depth(self, camera: str) -> NDArray[np.float32]:
         """Depth (H, W) m without error, 0 where nothing is."""
         # flat surfaces: MuJoCo's depth of them is the more exact far away
         self._draw(camera, True)
-        depth = np.empty((self._area.height, self._area.width), np.float32)
-        mujoco.mjr_readPixels(None, depth, self._area, self._context)
+        depth = self._nearness()
         model = self._world.model
         near, far = (np.float32(edge * model.stat.extent) for edge in (model.vis.map.znear, model.vis.map.zfar))
         # the buffer holds OpenGL's reversed depth, whose matrix has these two coefficients

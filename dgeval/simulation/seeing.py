@@ -41,7 +41,7 @@ def look(
     index: int, t_ns: int, world: World, eyes: Eyes, hand: Description, quality: int
 ) -> tuple[Frame, bytes, NDArray[np.uint16]]:
     """A frame as replay will read it: colour through JPEG, depth in counts, the hand's solids; and the images to record."""
-    colour, depth = eyes.look(index)
+    colour, depth, _ = eyes.look(index)
     jpeg = encode(colour, quality)
     decoded = np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)[:, :, ::-1]
     metres = depth.astype(np.float32) * np.float32(eyes.profile.depth_unit)

@@ -13,6 +13,7 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, rotation_vector, transform
+from dgeval.networks.contact_graspnet import CENTRES, ContactGraspNet, load_contact_graspnet
 from dgeval.networks.pointnet2 import GraspEvaluator, load_evaluator
 from dgeval.physics.jaw import OPENING
 from dgeval.recording.frame import Frame
@@ -24,6 +25,7 @@ FAR = 0.8  # m; what lies behind is no scene to grasp from
 MOST_PIXELS = 40_000
 EDGE_PX, EDGE_M = 5, 0.025  # window, and what lies within it, of a surface; beyond it an edge with flying pixels
 SAMPLED = 256  # poses a seed is chosen from
+SCENE_POINTS = 20_000  # of the scene, as Contact-GraspNet was trained
 
 
 @cache
@@ -55,7 +57,7 @@ def scene_cloud(frame: Frame, T_base_camera: Array, margin: float) -> Array:
 def seed_from_cloud(cloud: Array, judge: GraspJudge, T_base_camera: Array, seed: int) -> Array | None:
     """The best of grasps drawn on a cloud, T_base_grasp: about its points, across what is narrow; None where none fits.
 
-    Stands in for Contact-GraspNet where no seed is given.
+    Stands in for Contact-GraspNet where no seed is given and `vfas.contact_graspnet` names no weights.
     """
     rng = generator(seed, "vfas seed", 0)
     poses = []
@@ -75,6 +77,22 @@ def seed_from_cloud(cloud: Array, judge: GraspJudge, T_base_camera: Array, seed:
         return None
     quality = judge.quality([cloud[rng.permutation(len(cloud))]], np.array(poses))[0]
     return poses[int(np.argmax(quality))]
+
+
+@cache
+def contact_graspnet_of(weights: str) -> ContactGraspNet:
+    """Contact-GraspNet with a file's weights, or with those of the package that is `installed`."""
+    return load_contact_graspnet(None if weights == "installed" else Path(weights))
+
+
+def seed_from_contacts(cloud: Array, network: ContactGraspNet, seed: int) -> Array | None:
+    """Contact-GraspNet's most confident grasp that the jaws open wide enough for, T_base_grasp; None in too small a cloud."""
+    if len(cloud) < CENTRES[0]:
+        return None
+    chosen = generator(seed, "contacts", 0).permutation(len(cloud))[:SCENE_POINTS]
+    found = network.grasps(cloud[np.sort(chosen)])
+    score = np.where(found.width < OPENING, found.score, -1.0)
+    return np.asarray(found.T_cloud_grasp[int(np.argmax(score))])
 
 
 def proportional_twist(T_base_hand: Array, T_base_goal: Array, gain: float) -> Array:
@@ -127,4 +145,6 @@ class VfasLoop:
             ahead = np.eye(4)
             ahead[2, 3] = c.search_ahead
             return frame.T_base_palm @ ahead
+        if c.contact_graspnet is not None:
+            return seed_from_contacts(cloud, contact_graspnet_of(c.contact_graspnet), self._config.seed)
         return seed_from_cloud(cloud, self._judge, T_base_camera, self._config.seed) if len(cloud) else None

@@ -1,0 +1,184 @@
+"""Contact-GraspNet against a second writing in numpy, one centre at a time; and the seeds that a planner starts from."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from dgeval.config import VfasConfig
+from dgeval.errors import UsageError
+from dgeval.geometry import increment, rotation_vector, transform
+from dgeval.networks.contact_graspnet import CENTRES, NEIGHBOURS, RADII, ContactGraspNet, load_contact_graspnet
+from dgeval.stages.vfas import GraspJudge
+from dgeval.stages.vfas_loop import evaluator_of, seed_from_cloud, seed_from_contacts
+
+N = 2100
+
+
+def filled() -> ContactGraspNet:
+    """Weights that are a function of their place, norms that have seen something."""
+    network = ContactGraspNet()
+    rng = np.random.default_rng(1)
+    state = {}
+    for name, tensor in network.state_dict().items():
+        shape = tuple(tensor.shape)
+        if "num_batches" in name:
+            state[name] = torch.tensor(1)
+        elif name.endswith("running_var"):
+            state[name] = torch.from_numpy(rng.uniform(0.5, 2.0, shape).astype(np.float32))
+        else:
+            wide = 1 / np.sqrt(shape[1]) if len(shape) > 1 else 0.3
+            state[name] = torch.from_numpy(rng.normal(0, wide, shape).astype(np.float32))
+    network.load_state_dict(state)
+    return network.eval()
+
+
+def layers(state: dict[str, np.ndarray], name: str, x: np.ndarray) -> np.ndarray:
+    """Linear, rectifier, norm, as often as there are."""
+    k = 0
+    while f"{name}.{k}.0.weight" in state:
+        part = f"{name}.{k}"
+        x = np.maximum(x @ state[f"{part}.0.weight"].T + state[f"{part}.0.bias"], 0)
+        mean, var = state[f"{part}.2.running_mean"], state[f"{part}.2.running_var"]
+        x = (x - mean) / np.sqrt(var + 1e-5) * state[f"{part}.2.weight"] + state[f"{part}.2.bias"]
+        k += 1
+    return x
+
+
+def farthest(points: np.ndarray, n: int) -> np.ndarray:
+    chosen, nearest = [0], np.full(len(points), np.inf)
+    while len(chosen) < n:
+        nearest = np.minimum(nearest, ((points - points[chosen[-1]]) ** 2).sum(1))
+        chosen.append(int(np.argmax(nearest)))
+    return np.array(chosen)
+
+
+def by_hand(state: dict[str, np.ndarray], points: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The four heads' outputs, from PAPERS section 6."""
+    xyz, features = points, np.zeros((len(points), 0))
+    levels = []
+    for s, count in enumerate(CENTRES):
+        centres = xyz[farthest(xyz, count)]
+        columns = []
+        for r, radius in enumerate(RADII[s]):
+            rows = []
+            for i, centre in enumerate(centres):
+                near = np.flatnonzero(((xyz - centre) ** 2).sum(1) < radius**2)[:NEIGHBOURS]
+                near = np.unique([*near, i])  # the accident: point i, wherever it lies
+                local = np.concatenate([features[near], xyz[near] - centre], axis=1)
+                rows.append(layers(state, f"set_abstract_msg.{s}.{r}.conv.local_nn", local).max(0))
+            columns.append(rows)
+        xyz, features = centres, np.concatenate([np.array(c) for c in columns], axis=1)
+        levels.append((xyz, features))
+    for step, (fine, skip) in enumerate(reversed(levels)):
+        out = []
+        for p, beside in zip(fine, skip, strict=True):
+            d2 = ((xyz - p) ** 2).sum(1)
+            near = np.argsort(d2, kind="stable")[:3]
+            w = 1 / np.maximum(d2[near], 1e-16)
+            out.append(np.concatenate([(features[near] * w[:, None]).sum(0) / w.sum(), beside]))
+        features, xyz = layers(state, f"feat_prop.{step}.nn", np.array(out)), fine
+    whole = np.concatenate([xyz, features], axis=1)
+    heads = []
+    for h in range(4):
+        x = whole @ state[f"multihead.{h}.0.weight"][:, :, 0].T + state[f"multihead.{h}.0.bias"]
+        name = f"multihead.{h}.1"
+        x = (x - state[f"{name}.running_mean"]) / np.sqrt(state[f"{name}.running_var"] + 1e-5)
+        x = x * state[f"{name}.weight"] + state[f"{name}.bias"]
+        heads.append(x @ state[f"multihead.{h}.3.weight"][:, :, 0].T + state[f"multihead.{h}.3.bias"])
+    return xyz, *heads
+
+
+def test_network_is_the_published_one() -> None:
+    """Catches wrong radii, orders of norm and rectifier, interpolation, the missing accident, and directions."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.15, 0.15, (N, 3)).astype(np.float32)
+    network = filled()
+    at, across, approach, width, logit = (v.numpy() for v in network(torch.from_numpy(points)))
+    state = {k: v.numpy().astype(np.float64) for k, v in network.state_dict().items()}
+    xyz, score, z1, z2, w = by_hand(state, points.astype(np.float64))
+    assert np.allclose(at, xyz, atol=1e-7)
+    assert np.allclose(logit, score[:, 0], atol=2e-3 * np.abs(score).max())
+    unit = z1 / np.linalg.norm(z1, axis=1, keepdims=True)
+    assert np.allclose(across, unit, atol=5e-3)
+    second = z2 - (unit * z2).sum(1, keepdims=True) * unit
+    assert np.allclose(approach, second / np.linalg.norm(second, axis=1, keepdims=True), atol=2e-2)
+    assert np.allclose(width, np.clip(w[:, 0], -0.16, 0.08), atol=1e-3)
+
+
+def test_grasps_lie_between_the_jaws_whatever_the_origin() -> None:
+    """Catches the half width on the wrong side, and a mean that isn't added again."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.15, 0.15, (N, 3))
+    network = filled()
+    about_mean = torch.from_numpy((points - points.mean(0)).astype(np.float32))
+    at, across, approach, width, _ = (v.double().numpy() for v in network(about_mean))
+    far = np.array([0.5, -0.3, 0.1])
+    found = network.grasps(points + far)
+    T = found.T_cloud_grasp
+    assert np.allclose(T[:, :3, 3] - width[:, None] / 2 * across, at + points.mean(0) + far, atol=1e-5)
+    assert np.allclose(T[:, :3, 2], approach, atol=1e-3)
+    assert np.allclose(np.linalg.det(T[:, :3, :3]), 1.0, atol=1e-5)
+    assert (found.width >= 0).all()
+    assert ((found.score >= 0) & (found.score <= 1)).all()
+
+
+def test_seed_is_the_best_grasp_that_fits() -> None:
+    """Catches a seed wider than the gripper opens, and a crash on a cloud that is too small."""
+    rng = np.random.default_rng(0)
+    cloud = rng.uniform(-0.15, 0.15, (N, 3))
+    network = filled()
+    T = seed_from_contacts(cloud, network, 3)
+    assert T is not None
+    found = network.grasps(cloud)
+    at = int(np.argmin(np.abs(found.T_cloud_grasp - T).max(axis=(1, 2))))
+    assert found.score[at] >= np.sort(found.score[found.width < 0.10])[-1] - 1e-3
+    assert seed_from_contacts(cloud[:2000], network, 3) is None
+
+
+def test_checkpoint_container_and_its_absence(tmp_path: Path) -> None:
+    """cgn-pytorch's file has an optimiser beside the weights; without the package the error says what to do."""
+    torch.save({"state_dict": filled().state_dict(), "epoch": 7}, tmp_path / "current.pth")
+    loaded = load_contact_graspnet(tmp_path / "current.pth")
+    assert sum(1 for _ in loaded.state_dict()) == 295
+    if importlib.util.find_spec("cgn_pytorch") is None:
+        with pytest.raises(UsageError, match="not installed"):
+            load_contact_graspnet()
+
+
+def test_installed_weights_find_grasps_on_the_packages_scene() -> None:
+    """142 grasps over 0.5, best 0.995: what the original gives from the same first point and order of neighbours."""
+    package = importlib.util.find_spec("cgn_pytorch")
+    if package is None or not package.submodule_search_locations:
+        pytest.skip("cgn-pytorch is not installed")
+    scene = np.load(Path(package.submodule_search_locations[0]) / "scenes" / "002330.npz", allow_pickle=True)
+    score = load_contact_graspnet().grasps(scene["arr_0"][0].astype(np.float64)).score
+    assert int((score > 0.5).sum()) == pytest.approx(142, abs=3)
+    assert score.max() == pytest.approx(0.995, abs=0.002)
+
+
+def test_sampled_seed_holds_what_is_narrow() -> None:
+    """A thin box standing on a table: the sampler's seed is on the box, across its thin side, and moves with the scene."""
+    rng = np.random.default_rng(0)
+    n = 3000
+    side = np.column_stack([rng.choice([-0.02, 0.02], n), rng.uniform(-0.05, 0.05, n), rng.uniform(0, 0.12, n)])
+    top = np.column_stack([rng.uniform(-0.02, 0.02, n), rng.uniform(-0.05, 0.05, n), np.full(n, 0.12)])
+    table = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), np.zeros(n)])
+    cloud = rng.permutation(np.concatenate([side, top, table]))
+    judge = GraspJudge(evaluator_of(None), VfasConfig())
+    above = np.diag([1.0, -1.0, -1.0, 1.0])
+    above[2, 3] = 0.4
+    T = seed_from_cloud(cloud, judge, above, 0)
+    assert T is not None
+    assert np.all(np.abs(T[:3, 3] - [0, 0, 0.09]) < [0.03, 0.06, 0.05])
+    assert abs(T[0, 0]) > 0.8  # the jaws close along x
+    assert T[2, 2] < -0.3
+    move = increment(np.array([0.3, -0.2, 0.1, 0, 0, 0.7]))
+    moved = seed_from_cloud(transform(move, cloud), judge, move @ above, 0)
+    assert moved is not None
+    assert np.allclose(moved[:3, 3], (move @ T)[:3, 3], atol=1e-3)
+    assert np.linalg.norm(rotation_vector(moved[:3, :3].T @ (move @ T)[:3, :3])) < 1e-3
+    assert seed_from_cloud(np.zeros((1, 3)), judge, above, 0) is None
