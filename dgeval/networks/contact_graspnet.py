@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from scipy.spatial import KDTree
+from scipy.special import expit
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -113,7 +114,7 @@ class ContactGraspNet(nn.Module):
         T = np.tile(np.eye(4), (len(at), 1, 1))
         T[:, :3, 0], T[:, :3, 1], T[:, :3, 2] = across, np.cross(approach, across), approach
         T[:, :3, 3] = at + width[:, None] / 2 * across + mean
-        return JawGrasps(T, np.maximum(width, 0.0), 1 / (1 + np.exp(-logit)))
+        return JawGrasps(T, np.maximum(width, 0.0), expit(logit))
 
 
 def _carried_over(features: Tensor, coarse: Tensor, fine: Tensor) -> Tensor:

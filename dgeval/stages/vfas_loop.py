@@ -24,7 +24,7 @@ from dgeval.stages.vfas import GraspJudge, Selected, Vfas, perturbed
 FAR = 0.8  # m; what lies behind is no scene to grasp from
 MOST_PIXELS = 40_000
 EDGE_PX, EDGE_M = 5, 0.025  # window, and what lies within it, of a surface; beyond it an edge with flying pixels
-SAMPLED = 256  # poses a seed is chosen from
+SAMPLED = 256  # poses that the evaluator chooses a seed from
 SCENE_POINTS = 20_000  # of the scene, as Contact-GraspNet was trained
 
 
@@ -85,14 +85,19 @@ def contact_graspnet_of(weights: str) -> ContactGraspNet:
     return load_contact_graspnet(None if weights == "installed" else Path(weights))
 
 
-def seed_from_contacts(cloud: Array, network: ContactGraspNet, seed: int) -> Array | None:
-    """Contact-GraspNet's most confident grasp that the jaws open wide enough for, T_base_grasp; None in too small a cloud."""
+def seed_from_contacts(cloud: Array, network: ContactGraspNet, judge: GraspJudge, seed: int) -> Array | None:
+    """Of Contact-GraspNet's most confident grasps that fit into the jaws the evaluator's best, T_base_grasp.
+
+    Its own first choice won't do: in a wrist camera's near view it is often on the table or on what is far away.
+    None in too small a cloud.
+    """
     if len(cloud) < CENTRES[0]:
         return None
-    chosen = generator(seed, "contacts", 0).permutation(len(cloud))[:SCENE_POINTS]
-    found = network.grasps(cloud[np.sort(chosen)])
-    score = np.where(found.width < OPENING, found.score, -1.0)
-    return np.asarray(found.T_cloud_grasp[int(np.argmax(score))])
+    order = generator(seed, "contacts", 0).permutation(len(cloud))
+    found = network.grasps(cloud[np.sort(order[:SCENE_POINTS])])
+    best = np.argsort(-np.where(found.width < OPENING, found.score, -1.0), kind="stable")[:SAMPLED]
+    quality = judge.quality([cloud[order]], found.T_cloud_grasp[best])[0]
+    return np.asarray(found.T_cloud_grasp[best[np.argmax(quality)]])
 
 
 def proportional_twist(T_base_hand: Array, T_base_goal: Array, gain: float) -> Array:
@@ -146,5 +151,5 @@ class VfasLoop:
             ahead[2, 3] = c.search_ahead
             return frame.T_base_palm @ ahead
         if c.contact_graspnet is not None:
-            return seed_from_contacts(cloud, contact_graspnet_of(c.contact_graspnet), self._config.seed)
+            return seed_from_contacts(cloud, contact_graspnet_of(c.contact_graspnet), self._judge, self._config.seed)
         return seed_from_cloud(cloud, self._judge, T_base_camera, self._config.seed) if len(cloud) else None
