@@ -162,3 +162,16 @@ def test_unknown_scenario_parts_are_refused(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["simulate", str(tmp_path / "s.toml"), "--out", str(tmp_path / "o"), "--no-images"])
     assert result.exit_code == 2
     assert "turntable" in result.output
+
+
+def test_committed_manifests_are_the_plans(tmp_path: Path) -> None:
+    """Catches a scenario that draws other trials than its manifest names. The platform's line may differ."""
+    import make_manifests
+
+    make_manifests.main(tmp_path)
+    for made in sorted(tmp_path.iterdir()):
+        kept = Path(make_manifests.__file__).with_name(made.name)
+        assert [r for r in made.read_text().splitlines() if not r.startswith("platform")] == [
+            r for r in kept.read_text().splitlines() if not r.startswith("platform")
+        ]
+    assert len(list(tmp_path.iterdir())) == 4

@@ -22,7 +22,10 @@ Examples:
 def simulate(
     scenario: Annotated[
         str,
-        typer.Argument(help="conveyor, handover, conveyor-analytic, static, failures, ci-smoke, a FILE.toml, or a manifest."),
+        typer.Argument(
+            help="conveyor, handover, conveyor-analytic, static, failures, ci-smoke, table-clearing, turntable, "
+            "vfas-handover, a FILE.toml, or a manifest."
+        ),
     ],
     out: Annotated[Path | None, typer.Option(help="Folder; finished trials in it are kept. Default runs/SCENARIO.")] = None,
     trials: Annotated[int | None, typer.Option(min=1, help="Number of trials; default: the scenario's.")] = None,

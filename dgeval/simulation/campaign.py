@@ -282,7 +282,7 @@ def run_campaign(
                 progress("record", k + 1, len(chosen), result)
     shutil.rmtree(campaign.out / "part", ignore_errors=True)
     pairs = list(zip(chosen, recorded, strict=True))
-    _write_manifest(campaign, pairs)
+    write_manifest(campaign, pairs)
     _write(campaign.out / "simulated.json", {"simulated": proved})
     return pairs
 
@@ -335,7 +335,8 @@ def platform_name() -> str:
     return hashlib.sha256(json.dumps(fingerprint(), sort_keys=True).encode()).hexdigest()[:12]
 
 
-def _write_manifest(campaign: Campaign, pairs: list[tuple[dict[str, Any], dict[str, Any] | None]]) -> None:
+def write_manifest(campaign: Campaign, pairs: list[tuple[dict[str, Any], dict[str, Any] | None]]) -> None:
+    """OUT/<scenario>.toml: the trials, what they were made from, and the hashes of those recorded."""
     lines = [f'name = "{campaign.scenario.name}"', "", "[simulate] # what it was made from: `dgeval simulate` makes it again"]
     lines += [f'scenario = "{campaign.scenario.name}"', f"seed = {campaign.seed}"]
     lines += [f"indices = {[t['index'] for t, _ in pairs]}", f'platform = "{platform_name()}"', ""]

@@ -145,7 +145,7 @@ def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scena
         "blame": blame,
         "scenario": scenario.plans_of or scenario.name,
         "object": plan.object,
-        "speed": plan.speed,
+        "speed": plan.nominal_speed,
         "yaw": plan.yaw,
         "seed": plan.seed,
         "index": plan.index,

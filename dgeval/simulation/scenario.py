@@ -18,6 +18,7 @@ from dgeval.physics.gripper import FIVE_FINGERS, JAW, Gripper
 from dgeval.physics.objects import ObjectModel
 from dgeval.physics.presenter import Presenter
 from dgeval.physics.presenter import drawn as drawn_presenter
+from dgeval.physics.scene import TURNTABLE_CENTRE
 from dgeval.simulation.faults import Faults, draw
 from dgeval.simulation.setting import Turn
 
@@ -149,6 +150,14 @@ class Plan:
     presenter: Presenter | None = None
     others: tuple[tuple[str, float, float, float], ...] = ()
     turn: Turn | None = None
+
+    @property
+    def nominal_speed(self) -> float:
+        """Of the object, m/s: its belt's, with sign, or that of where it stands on a turning disc."""
+        if self.turn is None:
+            return self.speed
+        radius = np.hypot(self.x - TURNTABLE_CENTRE[0], self.y - TURNTABLE_CENTRE[1])
+        return round(float(radius * abs(self.turn.speed)), 4)
 
 
 def load_scenario(name: str) -> Scenario:
