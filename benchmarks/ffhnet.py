@@ -94,13 +94,13 @@ def in_physics(things: list[ObjectModel], views: int, networks: Networks) -> dic
         known = known_grasps(thing) if thing.name in ten_objects() else []
         for k in range(views):
             for name, fused in (("single view", False), ("fused", True)):
-                cloud, T_camera_object = cloud_of(surface, fused, generator(1, f"bench/{thing.name}/{name}", k))
+                cloud, T_cloud_object = cloud_of(surface, fused, generator(1, f"bench/{thing.name}/{name}", k))
                 encoded = encode_cloud(cloud, networks)
                 drawn = propose(encoded, networks, 256, 1, k)
-                free = free_on_table(thing, T_camera_object, encoded, drawn)
+                free = free_on_table(thing, T_cloud_object, encoded, drawn)
                 for way, scores in (("best", drawn.scores), ("best free", np.where(free, drawn.scores, -1.0))):
                     row = int(np.argmax(scores))
-                    T = invert(T_camera_object) @ drawn.T_cloud_palm[row]
+                    T = invert(T_cloud_object) @ drawn.T_cloud_palm[row]
                     out[f"{name}, {way}"].append((thing.name, holds(world, T, drawn.joints[row])))
             for draw in range(500):
                 T, joints = candidate(generator(2, f"bench/{thing.name}/{k}", draw), thing)

@@ -216,6 +216,10 @@ class VfasConfig(Section):
 
 class ExecutionConfig(Section):
     c_e: float = Field(0.7, description="execution threshold, strict (Table V)")
+    arrived_m: float | None = Field(
+        None, gt=0, description="m of the hand to the grasp within which alone it is executed (ours; paper: by score alone)"
+    )
+    arrived_deg: float = Field(6.0, gt=0, description="degrees, with arrived_m (ours)")
 
 
 class ScheduleConfig(Section):

@@ -142,7 +142,7 @@ def _control(
         return
     row.update(pose_columns("grasp", grasp.T_base_palm))
     row["hand_score"] = grasp.hand_score
-    row["execute"] = execute(grasp.hand_score, config.execution)
+    row["execute"] = execute(grasp.hand_score, config.execution, palm, grasp.T_base_palm)
     if palm is None:
         return
     estimate, model, T_camera_model, T_then = usable[1] if usable else (None, None, None, None)

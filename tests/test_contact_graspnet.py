@@ -12,6 +12,7 @@ from dgeval.config import VfasConfig
 from dgeval.errors import UsageError
 from dgeval.geometry import increment, rotation_vector, transform
 from dgeval.networks.contact_graspnet import CENTRES, NEIGHBOURS, RADII, ContactGraspNet, load_contact_graspnet
+from dgeval.physics.jaw import OPENING
 from dgeval.stages.vfas import GraspJudge
 from dgeval.stages.vfas_loop import evaluator_of, seed_from_cloud, seed_from_contacts
 
@@ -30,8 +31,9 @@ def filled() -> ContactGraspNet:
         elif name.endswith("running_var"):
             state[name] = torch.from_numpy(rng.uniform(0.5, 2.0, shape).astype(np.float32))
         else:
-            wide = 1 / np.sqrt(shape[1]) if len(shape) > 1 else 0.3
+            wide = 2 / np.sqrt(shape[1]) if len(shape) > 1 else 0.05
             state[name] = torch.from_numpy(rng.normal(0, wide, shape).astype(np.float32))
+    state["multihead.3.3.bias"] -= 0.1  # widths on both sides of neither clip
     network.load_state_dict(state)
     return network.eval()
 
@@ -101,12 +103,14 @@ def test_network_is_the_published_one() -> None:
     state = {k: v.numpy().astype(np.float64) for k, v in network.state_dict().items()}
     xyz, score, z1, z2, w = by_hand(state, points.astype(np.float64))
     assert np.allclose(at, xyz, atol=1e-7)
-    assert np.allclose(logit, score[:, 0], atol=2e-3 * np.abs(score).max())
     unit = z1 / np.linalg.norm(z1, axis=1, keepdims=True)
-    assert np.allclose(across, unit, atol=5e-3)
     second = z2 - (unit * z2).sum(1, keepdims=True) * unit
-    assert np.allclose(approach, second / np.linalg.norm(second, axis=1, keepdims=True), atol=2e-2)
-    assert np.allclose(width, np.clip(w[:, 0], -0.16, 0.08), atol=1e-3)
+    second /= np.linalg.norm(second, axis=1, keepdims=True)
+    clipped = np.clip(w[:, 0], -0.16, 0.08)
+    # against how much they differ from contact to contact, not against their size
+    for got, wanted in ((logit, score[:, 0]), (across, unit), (approach, second), (width, clipped)):
+        assert wanted.std(axis=0).min() > 1e-3
+        assert np.abs(got - wanted).max() < 1e-3 * wanted.std(axis=0).min()
 
 
 def test_grasps_lie_between_the_jaws_whatever_the_origin() -> None:
@@ -126,15 +130,15 @@ def test_grasps_lie_between_the_jaws_whatever_the_origin() -> None:
     assert ((found.score >= 0) & (found.score <= 1)).all()
 
 
-def test_seed_is_among_the_confident_ones_that_fit() -> None:
-    """Catches a seed wider than the gripper opens, another than the evaluator's, and a crash on a cloud that is too small."""
+def test_seed_is_among_the_confident_ones() -> None:
+    """Catches a choice by the wrong end of the scores, another than the evaluator's, and a crash on too small a cloud."""
     cloud = np.random.default_rng(0).uniform(-0.15, 0.15, (N, 3))
     network, judge = filled(), GraspJudge(evaluator_of(None), VfasConfig())
     T = seed_from_contacts(cloud, network, judge, 3)
     assert T is not None
     found = network.grasps(cloud)
-    fits = found.width < 0.10
-    confident = found.T_cloud_grasp[fits][np.argsort(-found.score[fits])[:270]]
+    assert found.width.max() < OPENING
+    confident = found.T_cloud_grasp[np.argsort(-found.score)[:270]]
     assert np.abs(confident - T).max(axis=(1, 2)).min() < 1e-3
     quality = judge.quality([cloud], np.concatenate([T[None], confident[:20]]))[0]
     assert quality[0] >= quality[1:].max() - 0.05

@@ -5,27 +5,32 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from dgeval.config import GraspsConfig
+from dgeval.config import ExecutionConfig, GraspsConfig
 from dgeval.errors import UsageError
-from dgeval.geometry import Array
+from dgeval.geometry import Array, increment
 from dgeval.networks import checkpoints
 from dgeval.networks.bps import basis, encode
-from dgeval.networks.checkpoints import read_weights
+from dgeval.networks.checkpoints import LEVELS, read_weights
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_evaluator, load_generator, matrix_from_6d
 from dgeval.physics.arm import LOWER, UPPER, ArmKinematics
 from dgeval.physics.urdf import robot_urdf
 from dgeval.recording.description import load_description
-from dgeval.simulation.perception import T_hand_camera
+from dgeval.simulation.perception import Sight, T_hand_camera
+from dgeval.simulation.proposals import FFHNetGrasps
+from dgeval.stages.execution import execute
 from dgeval.stages.grasping import encode_cloud, evaluate, networks_of, propose
 from dgeval.stages.reachability import arm_of
+from dgeval.training.ship import export
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 SIZE = (64, 24, 16)  # basis points, width, hidden: small, and all different
@@ -285,6 +290,34 @@ def test_shipped_networks_know_a_grasp_from_a_hand_in_the_air() -> None:
     assert evaluate(cloud, networks, raised[None], drawn.joints[best][None])[0] < 0.1
 
 
+@pytest.mark.parametrize("upright", [True, False])
+def test_upright_grasps_do_not_turn_with_the_camera(upright: bool) -> None:
+    """Catches a cloud given in the camera's axes to weights that learned z down: grasps then fall into the table."""
+    shipped = networks_of(GraspsConfig())
+    assert shipped.upright  # by the file's own word
+    source = FFHNetGrasps(replace(shipped, upright=upright), GraspsConfig(support_z=0.0), 0, 0)
+    T_base_object, held = np.eye(4), []
+    T_base_object[:3, 3] = (0.5, 0.1, 0.04)
+    cloud = T_base_object[:3, 3] + np.array([1, -1, -1]) * (half_shell() - [0, 0, 0.44])
+    for tilt in (0.0, 60.0):
+        T_base_camera = np.eye(4)
+        T_base_camera[:3, :3] = Rotation.from_euler("xz", [180 + tilt, 40], degrees=True).as_matrix()
+        T_base_camera[:3, 3] = (0.5, 0.1, 0.5)
+        proposals = source.propose(0, Sight(T_base_object, cloud), T_base_object, T_base_camera, None)
+        assert proposals is not None
+        free = proposals.free(np.arange(len(proposals.scores)))
+        held.append((proposals.T_object_palm, proposals.scores, free))
+        # the score of a candidate's own pose is the candidate's, whatever the axes
+        k = int(np.argmax(proposals.scores))
+        own = source.score(proposals, k, T_base_object, T_base_object @ proposals.T_object_palm[k], np.eye(4))
+        assert own == pytest.approx(proposals.scores[k], abs=1e-4)
+    (first, _, free), (second, _, also) = held
+    assert np.allclose(first, second, atol=1e-6) == upright
+    if upright:
+        assert np.array_equal(free, also)
+        assert free.mean() > 0.3
+
+
 # reachability
 
 
@@ -313,3 +346,27 @@ def test_arm_of_the_description_is_the_arm() -> None:
     far = np.eye(4)
     far[:3, 3] = (2.5, 0, 0.3)
     assert arm.solve(far, np.zeros(7)) is None
+
+
+def test_a_hand_on_its_way_is_not_executed() -> None:
+    """Ours: at the grasp alone; by score alone, as the paper, where no distance is set. Catches degrees for radians."""
+    T = np.eye(4)
+    near, far, turned = increment(np.array([0.007, 0, 0, 0, 0, 0])), increment(np.array([0.009, 0, 0, 0, 0, 0])), np.eye(4)
+    turned[:3, :3] = Rotation.from_euler("y", 7, degrees=True).as_matrix()
+    paper, ours = ExecutionConfig(c_e=0.5), ExecutionConfig(c_e=0.5, arrived_m=0.008)
+    assert [execute(0.6, paper, p, T) for p in (near, far, turned, None)] == [True] * 4
+    assert [execute(0.6, ours, p, T) for p in (near, far, turned, None)] == [True, False, False, None]
+    assert execute(0.5, ours, near, T) is False
+    assert execute(None, paper, near, T) is None
+
+
+def test_whole_steps_keep_the_weights(tmp_path: Path) -> None:
+    """Catches a step of the wrong axis, and files whose axes are forgotten."""
+    torch.manual_seed(0)
+    network = FFHEvaluator(32, 16, 8).eval()
+    export(network, tmp_path / "ffhnet_evaluator.safetensors")
+    loaded = load_evaluator(tmp_path / "ffhnet_evaluator.safetensors")
+    assert loaded.upright
+    for name, tensor in network.state_dict().items():
+        tolerance = 0.5 / LEVELS * tensor.abs().amax(1, keepdim=True) if tensor.ndim == 2 else torch.zeros(1)
+        assert ((loaded.state_dict()[name] - tensor).abs() <= tolerance * 1.001).all(), name

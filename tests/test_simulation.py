@@ -16,11 +16,13 @@ import pandas as pd
 import pytest
 from dgeval.config import load_config
 from dgeval.errors import UsageError
+from dgeval.geometry import transform
+from dgeval.physics.closing import GRASP_CENTRE
 from dgeval.physics.objects import ten_objects
 from dgeval.recording.containers import sha256_of
 from dgeval.recording.trials import find_trials, open_trial
 from dgeval.simulation.blame import blame
-from dgeval.simulation.campaign import Campaign, simulate, with_images
+from dgeval.simulation.campaign import Campaign, run_campaign, simulate, with_images
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.meshes import load_meshes
 from dgeval.simulation.perception import depth_profile, true_cameras
@@ -239,6 +241,13 @@ def test_self_filter_finds_the_hand_that_the_camera_sees(egl: None) -> None:
     with Eyes(world, true_cameras(scenario, wanted), depth_profile(scenario), 0, 0) as eyes:
         depth = eyes.exact_depth("colour")
         hand, thing = eyes.mask_of(world.hand_geoms), eyes.mask()
+        # the quick mask is the other one, also of an object that fingers hide in part
+        assert np.array_equal(eyes.look(0, mask=True)[2], thing)
+        between = transform(world.T_base_hand(), (GRASP_CENTRE + np.array([0.0, 0.0, 0.08]))[None])[0]
+        world.put_object(np.concatenate([between, [1.0, 0.0, 0.0, 0.0]]), np.zeros(6))
+        behind = eyes.mask()
+        assert np.array_equal(eyes.look(0, mask=True)[2], behind)
+        assert behind.sum() > 3 * thing.sum()
     camera = true_cameras(scenario, wanted)[0].intrinsics
     found = hand_pixels(depth, (0, 0), camera, shapes, 0.010)
     seen = hand & (depth > 0)
@@ -334,6 +343,35 @@ def test_meshes_become_objects_and_millimetres_are_refused(tmp_path: Path) -> No
     ring.export(tmp_path / "ring.stl")
     with pytest.raises(UsageError, match="millimetres"):
         load_meshes(tmp_path)
+
+
+@pytest.mark.slow
+def test_a_users_mesh_makes_a_whole_trial(egl: None, tmp_path: Path) -> None:
+    """Catches a mesh that only loads: it is grasped at, seen by the camera, recorded, and its twin rests on the belt."""
+    import trimesh
+
+    trimesh.creation.box((0.05, 0.07, 0.12)).subdivide().export(tmp_path / "brick.stl")
+    scenario = load_scenario("ci-smoke")
+    camera = scenario.camera.model_copy(update={"rate": 5.0})
+    small = scenario.model_copy(
+        update={
+            "objects": ("brick",),
+            "speeds": (0.0,),
+            "choose": None,
+            "grasps": "ffhnet",
+            "max_seconds": 3.0,
+            "camera": camera,
+        }
+    )
+    campaign = Campaign(small, 0, 1, tmp_path / "out", meshes=tmp_path, indices=(0,))
+    ((truth, recorded),) = run_campaign(campaign, 1, lambda *_: None)
+    assert truth["verdict"]["object"] == "brick"
+    assert truth["verdict"]["outcome"] in ("success", "failure")
+    assert recorded is not None
+    assert recorded["bbox"] is not None
+    (spec,) = find_trials([tmp_path / "out" / "ci-smoke.toml"])
+    poses = open_trial(spec, load_config("dynamic")).scan.poses["/truth/undisturbed_pose"]
+    assert abs(poses[0].pose[2] - 0.06) < 0.003
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from dgeval.training.grasp_data import make_grasps, read_grasps, write_grasps
 from dgeval.training.jaw_data import write_scenes
 from dgeval.training.pool import write_all
 from dgeval.training.ship import scores_of
-from dgeval.training.views import random_camera, views_of
+from dgeval.training.views import camera_at, views_of
 
 SMALL = Settings(n_bps=64, width=24, hidden=16, views=4, held_out=2, batch=64, steps=12, generator_steps=12)
 
@@ -51,7 +51,7 @@ def test_a_camera_sees_the_near_side_only() -> None:
     surface = surface_points(thing, 6000, np.random.default_rng(0))
     rng = np.random.default_rng(1)
     for _ in range(5):
-        T = random_camera(rng)
+        T = camera_at(rng.uniform(0, 1.3), rng.uniform(0, 6.3), rng)
         rows, measured = seen_from(surface, T, rng)
         exact = transform(T, surface)
         away = (exact[rows, 2] > exact[:, 2].mean() + 0.012).mean()
@@ -70,6 +70,7 @@ def test_a_view_is_centred_and_its_encoding_belongs_to_it() -> None:
         assert (view.bps > whole - 0.025).all()
         assert np.median(view.bps - whole) > -0.002
         assert np.linalg.norm(placed.mean(axis=0)) < 0.09
+        assert view.T_view_object[2, 2] < -0.25  # z down, however the camera was held
 
 
 @pytest.mark.slow

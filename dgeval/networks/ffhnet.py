@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from safetensors import safe_open
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -139,6 +140,7 @@ class FFHEvaluator(nn.Module):
         super().__init__()
         inputs = n_bps + 9 + 3 + (N_JOINTS if joints else 0)
         self.joints = joints
+        self.upright = False  # the clouds it learned had their z down, not the camera's axes
         self.bn1 = nn.BatchNorm1d(inputs)
         self.rb1 = ResBlock(inputs, width, hidden)
         self.rb2 = ResBlock(inputs + width, width, hidden)
@@ -178,6 +180,9 @@ def load_evaluator(path: Path) -> FFHEvaluator:
         sizes = (sizes[0] - 12 - (N_JOINTS if joints else 0), *sizes[1:])
     network = FFHEvaluator(*sizes, joints=joints) if sizes else FFHEvaluator(joints=joints)
     load_strictly(network, weights, str(path))
+    if path.suffix == ".safetensors":
+        with safe_open(path, "pt") as file:
+            network.upright = (file.metadata() or {}).get("axes") == "upright"
     return network
 
 

@@ -107,7 +107,7 @@ class Eyes:
         return np.asarray(cv2.add(colour, noise, dtype=cv2.CV_8U), dtype=np.uint8), aligned, shown
 
     def _mask_in(self, nearness: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """`mask()` from the depth buffer of the whole scene: where the object alone is as near. Half the cost."""
+        """`mask()` from the depth buffer of the whole scene: where the object alone, drawn without the rest, is as near."""
         dynamic = mujoco.mjtCatBit.mjCAT_DYNAMIC.value
         mujoco.mjv_updateScene(
             self._world.model, self._world.data, self._object, mujoco.MjvPerturb(), self._from("colour"), dynamic, self._scene

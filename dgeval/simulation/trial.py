@@ -166,7 +166,7 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
                 nearer = _ahead(palm, T_grasp, early * config.servo.c_p_v)
                 score = grasps.score(proposals, chosen, T_object, nearer, T_grasp) + faults.evaluator_bias
                 score = float(np.clip(score, 0.0, 1.0))
-                fire = bool(execute(score, config.execution))
+                fire = bool(execute(score, config.execution, nearer, T_grasp))
                 run.preshape = preshape = proposals.preshapes[chosen]
                 kept = proposals.T_object_palm[chosen], preshape
         distance = world.hand_distance(NEAR) if tick % TRUTH_STEP == 0 else None

@@ -30,6 +30,7 @@ from dgeval.stages.hand_overlap import depth_below, overlap
 
 JOINT_LOW = np.tile([-0.261799, 0.0, 0.0], 5)  # rad, of the 15 joints (PAPERS 1.4)
 JOINT_HIGH = np.tile([0.261799, 1.48353, 1.13446], 5)
+UPRIGHT = np.diag([1.0, -1.0, -1.0])  # R_cloud_base of what dgeval's own weights learned: z down, whatever the camera's
 OVERLAP_POINTS = 300  # of a cloud, in which overlaps are looked for
 CHUNK = 32  # candidates whose overlap is calculated at a time
 MOST_TRIED = 32  # candidates out of the arm's reach, after which there is none
@@ -37,14 +38,22 @@ MOST_TRIED = 32  # candidates out of the arm's reach, after which there is none
 
 @dataclass(frozen=True)
 class Networks:
-    """Generator and evaluator of the same basis."""
+    """Generator and evaluator of the same basis.
+
+    upright: they learned clouds whose z points down; else, as the authors', clouds with the axes of the camera.
+    """
 
     generator: FFHGenerator
     evaluator: FFHEvaluator
+    upright: bool = False
 
     @property
     def n_bps(self) -> int:
         return self.generator.dec_bn1.num_features
+
+    def R_cloud_base(self, T_base_camera: Array) -> Array:
+        """(3, 3): the axes that a cloud is to be given in. An upright base frame has its z up."""
+        return UPRIGHT if self.upright else T_base_camera[:3, :3].T
 
 
 @dataclass(frozen=True)
@@ -77,8 +86,8 @@ def networks_of(config: GraspsConfig) -> Networks:
 def _load(generator_file: str | None, evaluator_file: str | None) -> Networks:
     shipped = Path(str(resources.files("dgeval.networks") / "weights"))
     first = load_generator(Path(generator_file) if generator_file else shipped / "ffhnet_generator.safetensors")
-    second = load_evaluator(Path(evaluator_file) if evaluator_file else shipped / "ffhnet_evaluator.safetensors")
-    networks = Networks(first, second)
+    second = load_evaluator(Path(evaluator_file) if evaluator_file else shipped / "ffhnet_evaluator_fingers.safetensors")
+    networks = Networks(first, second, second.upright)
     of_evaluator = second.bn1.num_features - 12 - (N_JOINTS if second.joints else 0)
     if of_evaluator != networks.n_bps:
         what = f"the generator takes {networks.n_bps} basis points, the evaluator {of_evaluator}"
@@ -87,7 +96,7 @@ def _load(generator_file: str | None, evaluator_file: str | None) -> Networks:
 
 
 def encode_cloud(points: Array, networks: Networks) -> EncodedCloud:
-    """points (m, 3) m with the camera's axes."""
+    """points (m, 3) m with the axes that the networks learned."""
     mean = points.mean(axis=0)
     bps = torch.from_numpy(encode(points - mean, basis(networks.n_bps)))[None]
     return EncodedCloud(bps, mean, points[:: -(-len(points) // OVERLAP_POINTS)])

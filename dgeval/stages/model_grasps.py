@@ -23,12 +23,12 @@ from dgeval.stages.types import Model
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Candidates of one frame with the cloud they were drawn for, T_base_camera and T_camera_model of that frame."""
+    """Candidates of one frame with the cloud they were drawn for, T_base_cloud and T_cloud_model of that frame."""
 
     cloud: EncodedCloud
     candidates: Candidates
-    T_base_camera: Array
-    T_camera_model: Array
+    T_base_cloud: Array
+    T_cloud_model: Array
 
 
 class ModelGrasps:
@@ -61,12 +61,12 @@ class ModelGrasps:
             at = self._coming.step(frame.t_ns, drawn)
         if at is None:
             return None
-        cloud, candidates, T_base_then = at[1].cloud, at[1].candidates, at[1].T_base_camera
+        cloud, candidates, T_base_cloud = at[1].cloud, at[1].candidates, at[1].T_base_cloud
         palm, config = frame.T_base_palm, self._config
-        poses = T_base_then @ candidates.T_cloud_palm
+        poses = T_base_cloud @ candidates.T_cloud_palm
         row["n_grasps"] = len(poses)
         z, most = config.grasps.support_z, config.grasps.max_overlap
-        support = None if z is None else (T_base_then[2, :3], z - float(T_base_then[2, 3]))
+        support = None if z is None else (T_base_cloud[2, :3], z - float(T_base_cloud[2, 3]))
         metric = candidates.scores if palm is None else grasp_metric(poses, candidates.scores, palm, config.selection)
         chosen = Feasible(
             lambda rows: free_of(cloud, candidates.T_cloud_palm[rows], candidates.joints[rows], support, most),
@@ -75,19 +75,22 @@ class ModelGrasps:
         if chosen is None:
             return None
         joints = candidates.joints[chosen]
-        self._kept = invert(at[1].T_camera_model) @ candidates.T_cloud_palm[chosen], joints
+        self._kept = invert(at[1].T_cloud_model) @ candidates.T_cloud_palm[chosen], joints
         row["grasp_score"] = float(candidates.scores[chosen])
         if palm is None:
             return Choice(poses[chosen], None)
         row["grasp_metric"] = float(metric[chosen])
-        score = evaluate(cloud, self._networks, (invert(T_base_then) @ palm)[None], joints[None])
+        score = evaluate(cloud, self._networks, (invert(T_base_cloud) @ palm)[None], joints[None])
         return Choice(poses[chosen], float(score[0]))
 
     def _draw(self, frame: Frame, T_base_camera: Array, model: Model, T_camera_model: Array) -> _Drawn:
-        cloud = encode_cloud(transform(T_camera_model, model.points), self._networks)
-        kept = None if self._kept is None else (T_camera_model @ self._kept[0], self._kept[1])
+        T_base_cloud = T_base_camera.copy()
+        T_base_cloud[:3, :3] = self._networks.R_cloud_base(T_base_camera).T
+        T_cloud_model = invert(T_base_cloud) @ T_base_camera @ T_camera_model
+        cloud = encode_cloud(transform(T_cloud_model, model.points), self._networks)
+        kept = None if self._kept is None else (T_cloud_model @ self._kept[0], self._kept[1])
         n, seed = self._config.grasps.candidates, self._config.seed
-        return _Drawn(cloud, propose(cloud, self._networks, n, seed, frame.index, kept), T_base_camera, T_camera_model)
+        return _Drawn(cloud, propose(cloud, self._networks, n, seed, frame.index, kept), T_base_cloud, T_cloud_model)
 
     def _reaches(self, poses: Array, t_ns: int) -> Callable[[int], bool] | None:
         """Whether the arm reaches a pose from where it is; None where its kinematics or joints are not known."""

@@ -86,7 +86,7 @@ def contact_graspnet_of(weights: str) -> ContactGraspNet:
 
 
 def seed_from_contacts(cloud: Array, network: ContactGraspNet, judge: GraspJudge, seed: int) -> Array | None:
-    """Of Contact-GraspNet's most confident grasps that fit into the jaws the evaluator's best, T_base_grasp.
+    """Of Contact-GraspNet's most confident grasps, none wider than our jaws open, the evaluator's best, T_base_grasp.
 
     Its own first choice won't do: in a wrist camera's near view it is often on the table or on what is far away.
     None in too small a cloud.
@@ -95,7 +95,7 @@ def seed_from_contacts(cloud: Array, network: ContactGraspNet, judge: GraspJudge
         return None
     order = generator(seed, "contacts", 0).permutation(len(cloud))
     found = network.grasps(cloud[np.sort(order[:SCENE_POINTS])])
-    best = np.argsort(-np.where(found.width < OPENING, found.score, -1.0), kind="stable")[:SAMPLED]
+    best = np.argsort(-found.score, kind="stable")[:SAMPLED]
     quality = judge.quality([cloud[order]], found.T_cloud_grasp[best])[0]
     return np.asarray(found.T_cloud_grasp[best[np.argmax(quality)]])
 

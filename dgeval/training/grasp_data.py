@@ -26,8 +26,9 @@ from dgeval.simulation.grasps import FlyingHand, candidate
 from dgeval.stages.grasping import Candidates, EncodedCloud, Networks, draw, encode_cloud, free_of, propose
 from dgeval.training.views import cloud_of, views_of
 
-VERSION = 1  # of what is drawn below: files of another one are made again
+VERSION = 2  # of what is drawn below: files of another one are made again
 NOISE_SCALES = ((0.003, np.radians(3)), (0.008, np.radians(8)), (0.016, np.radians(16)))  # m, rad; perturbed positives
+APPROACH_M, APPROACH_SD, APPROACH_RAD = (0.01, 0.10), 0.008, np.radians(6)  # back along the fingers, and off to the side
 OVERLAP = 0.002  # m; hand and object deeper in each other than this: no pose a robot could be in
 LIGHT_TOUCH = 0.004  # m; proposals may touch by so much, as hands do that arrive
 PROPOSED_VIEWS = 8
@@ -84,12 +85,25 @@ def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
                 overlaps += 1
         elif attempt(T, preshape):
             good.append((T, preshape))
+    for k in range(5 * tried // 8 if good else 0):
+        T, preshape = on_the_way(good, generator(seed, f"approach/{thing.name}", k))
+        world.put(T, preshape)
+        if not world.touches():
+            attempt(T, preshape)
     return GraspData(
         np.array([T_object_base @ T @ T_hand_palm for T, _, _, _ in rows]),
         np.array([p for _, p, _, _ in rows]),
         np.array([h for _, _, h, _ in rows]),
         np.array([o for _, _, _, o in rows]),
     )
+
+
+def on_the_way(good: list[tuple[Array, Array]], rng: np.random.Generator) -> tuple[Array, Array]:
+    """A hand, T_base_hand, and its fingers that have not arrived yet at a grasp that held: where closing is too early."""
+    T, preshape = good[int(rng.integers(len(good)))]
+    metres = rng.normal(0, APPROACH_SD, 3)
+    metres[2] -= rng.uniform(*APPROACH_M)  # the hand's z runs along its fingers
+    return T @ increment(np.concatenate([metres, rng.normal(0, APPROACH_RAD, 3)])), preshape
 
 
 def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: int) -> GraspData:
@@ -113,10 +127,10 @@ def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: in
     return GraspData(np.array(poses), np.array(joints), np.array(held), np.array(overlapping))
 
 
-def free_on_table(thing: ObjectModel, T_camera_object: Array, cloud: EncodedCloud, candidates: Candidates) -> NDArray[np.bool_]:
+def free_on_table(thing: ObjectModel, T_cloud_object: Array, cloud: EncodedCloud, candidates: Candidates) -> NDArray[np.bool_]:
     """Which candidates (n,) lie at most a light touch deep in the cloud of a standing object and in its table."""
-    normal = T_camera_object[:3, 2]
-    support = normal, float(normal @ T_camera_object[:3, 3]) - thing.rest_height()
+    normal = T_cloud_object[:3, 2]
+    support = normal, float(normal @ T_cloud_object[:3, 3]) - thing.rest_height()
     return free_of(cloud, candidates.T_cloud_palm, candidates.joints, support, LIGHT_TOUCH)
 
 
@@ -132,13 +146,13 @@ def try_selected(
     clouds, poses, joints, held = [], [], [], []
     for k in range(views):
         rng = generator(seed, f"selected view/{thing.name}", k)
-        points, T_camera_object = cloud_of(surface, k % 2 == 1, rng)
+        points, T_cloud_object = cloud_of(surface, k % 2 == 1, rng)
         cloud = encode_cloud(points, networks)
         drawn = propose(cloud, networks, 256, seed, k)
-        free = np.flatnonzero(free_on_table(thing, T_camera_object, cloud, drawn))
+        free = np.flatnonzero(free_on_table(thing, T_cloud_object, cloud, drawn))
         best = free[np.argsort(-drawn.scores[free], kind="stable")][:4]
         for row in [*best, *rng.permutation(np.setdiff1d(free, best))[:4]]:
-            world.put_palm(invert(T_camera_object) @ drawn.T_cloud_palm[row], drawn.joints[row])
+            world.put_palm(invert(T_cloud_object) @ drawn.T_cloud_palm[row], drawn.joints[row])
             clouds.append(cloud)
             poses.append(drawn.T_cloud_palm[row])
             joints.append(drawn.joints[row])

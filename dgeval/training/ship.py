@@ -15,6 +15,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from dgeval.determinism import limit_threads
+from dgeval.networks.checkpoints import quantised
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_generator, palms_of
 from dgeval.physics.objects import procedural_object
 from dgeval.stages.grasping import Networks
@@ -57,7 +58,7 @@ def train_all(
         network = trained(kind, data)
         assert isinstance(network, FFHEvaluator)
         # one half of the held-out objects calibrates, the other measures
-        networks = Networks(load_generator(generator_file), network)
+        networks = Networks(load_generator(generator_file), network, upright=True)
         unseen = range(objects - settings.held_out, objects)
         factor, offset = calibrate(network, *selected(networks, unseen[::2], settings.seed))
         bps, palms, held = selected(networks, unseen[1::2], settings.seed)
@@ -87,9 +88,8 @@ def selected(networks: Networks, indices: Sequence[int], seed: int) -> tuple[Ten
 
 
 def export(network: nn.Module, path: Path) -> None:
-    """Matrices in half precision, which halves the file; norms and offsets as they are."""
-    state = {k: v.half() if v.ndim > 1 else v for k, v in network.state_dict().items()}
-    save_file({k: v.contiguous() for k, v in state.items()}, path)
+    """Matrices in whole steps, which shrinks the file; norms and offsets as they are. All learn upright clouds."""
+    save_file(quantised(network.state_dict()), path, {"axes": "upright"})
 
 
 def scores_of(p: np.ndarray[Any, Any], held: np.ndarray[Any, Any]) -> dict[str, float]:
