@@ -28,10 +28,10 @@ def filled() -> ContactGraspNet:
         shape = tuple(tensor.shape)
         if "num_batches" in name:
             state[name] = torch.tensor(1)
-        elif name.endswith("running_var"):
+        elif name.endswith("running_var") or (name.endswith("weight") and len(shape) == 1):
             state[name] = torch.from_numpy(rng.uniform(0.5, 2.0, shape).astype(np.float32))
         else:
-            wide = 2 / np.sqrt(shape[1]) if len(shape) > 1 else 0.05
+            wide = 1 / np.sqrt(shape[1]) if len(shape) > 1 else 0.05
             state[name] = torch.from_numpy(rng.normal(0, wide, shape).astype(np.float32))
     state["multihead.3.3.bias"] -= 0.1  # widths on both sides of neither clip
     network.load_state_dict(state)

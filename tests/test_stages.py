@@ -358,9 +358,9 @@ def test_look_at_turns_the_optical_axis_to_the_target() -> None:
 
 def test_execution_threshold_is_strict() -> None:
     c = ExecutionConfig()
-    assert execute(0.7, c) is False
-    assert execute(0.71, c) is True
-    assert execute(None, c) is None
+    assert execute(0.7, c, None, np.eye(4)) is False
+    assert execute(0.71, c, None, np.eye(4)) is True
+    assert execute(None, c, None, np.eye(4)) is None
 
 
 def test_latency_delays_by_whole_frames() -> None:
