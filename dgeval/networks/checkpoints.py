@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
@@ -31,7 +31,7 @@ _REBUILD = {
 _INERT = ("ltr", "pytracking", "torch.optim", "functools", "numpy", "easydict", "argparse")
 
 
-LEVELS, STEP = 47, "/step"
+LEVELS, STEP = 47, "/step"  # of quantised matrices: steps to each side, and the name of a row's step behind the matrix's
 
 
 class _Shell:
@@ -89,8 +89,16 @@ def read_weights(path: Path, key: str | None = None) -> dict[str, Tensor]:
     return {name.removeprefix("module."): tensor for name, tensor in found.items()}
 
 
+def metadata_of(path: Path) -> dict[str, str]:
+    """What a .safetensors file says beside its weights; nothing for other containers."""
+    if path.suffix != ".safetensors":
+        return {}
+    with safe_open(path, "pt") as file:
+        return file.metadata() or {}
+
+
 def quantised(state: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Matrices in LEVELS whole steps to each side, of a step per row beside them: a third of half precision, packed."""
+    """Matrices in LEVELS whole steps to each side, of a step per row beside them."""
     out = {}
     for name, tensor in state.items():
         if tensor.ndim != 2:

@@ -16,12 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import safe_open
 from torch import Tensor, nn
 from torch.nn import functional
 
 from dgeval.geometry import Array
-from dgeval.networks.checkpoints import load_strictly, read_weights
+from dgeval.networks.checkpoints import load_strictly, metadata_of, read_weights
 
 N_JOINTS, LATENT, SLOPE = 15, 5, 0.2
 
@@ -180,9 +179,7 @@ def load_evaluator(path: Path) -> FFHEvaluator:
         sizes = (sizes[0] - 12 - (N_JOINTS if joints else 0), *sizes[1:])
     network = FFHEvaluator(*sizes, joints=joints) if sizes else FFHEvaluator(joints=joints)
     load_strictly(network, weights, str(path))
-    if path.suffix == ".safetensors":
-        with safe_open(path, "pt") as file:
-            network.upright = (file.metadata() or {}).get("axes") == "upright"
+    network.upright = metadata_of(path).get("axes") == "upright"
     return network
 
 

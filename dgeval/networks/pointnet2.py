@@ -13,12 +13,11 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dgeval.networks.checkpoints import load_strictly, read_weights
+from dgeval.networks.checkpoints import load_strictly, metadata_of, read_weights
 from dgeval.networks.point_sets import farthest_points, gathered, neighbours_in_ball
 
 CROP_LOW, CROP_HIGH = np.array([-0.10, -0.05, -0.10]), np.array([0.10, 0.05, 0.03])  # m, grasp frame (VFAS section III-B)
@@ -164,12 +163,8 @@ def save_evaluator(network: GraspEvaluator, path: Path) -> None:
 def load_evaluator(path: Path) -> GraspEvaluator:
     """A public checkpoint (`latest_net.pth` of 6-DoF GraspNet) or safetensors of `save_evaluator`."""
     weights = read_weights(path, "model_state_dict")
-    sizes = PUBLIC
-    if path.suffix == ".safetensors":
-        with safe_open(path, "pt") as file:
-            said = json.loads((file.metadata() or {}).get("sizes", "{}"))
-        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in said.items()}
-        sizes = replace(PUBLIC, **values)
-    network = GraspEvaluator(sizes)
+    said = json.loads(metadata_of(path).get("sizes", "{}"))
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in said.items()}
+    network = GraspEvaluator(replace(PUBLIC, **values))
     load_strictly(network, weights, str(path))
     return network
