@@ -26,13 +26,12 @@ from dgeval.hindsight import blind_gap
 from dgeval.physics.closing import CONTROL_S
 from dgeval.physics.gripper import FIVE_FINGERS
 from dgeval.physics.hand import ACTUATED
-from dgeval.physics.objects import surface_points, ten_objects
+from dgeval.physics.objects import surface_points
 from dgeval.report.statistics import calibration_error, confusion, macro_f1, wilson
-from dgeval.simulation.grasps import known_grasps
+from dgeval.simulation.campaign import Campaign, grasps_of, plan_of, world_of
 from dgeval.simulation.perception import ModelledPerception
-from dgeval.simulation.proposals import KnownGrasps
 from dgeval.simulation.record import EFFORT_NOISE
-from dgeval.simulation.scenario import load_scenario, plan_trial
+from dgeval.simulation.scenario import load_scenario
 from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, matrix_of, twin_path
@@ -155,28 +154,24 @@ def causal_guess(run: Run, world: World) -> str:
     return "timing" if away > AWAY_M else "imprecise_pose"
 
 
-def judge(job: tuple[int, int, str, int, tuple[str, ...]]) -> dict[str, Any]:
+def judge(job: tuple[str, int, int, str, int, tuple[str, ...]]) -> dict[str, Any]:
     """One trial: truth, and what each instrument says of it if it failed."""
     limit_threads()
-    seed, index, variant, draws, methods = job
-    scenario = load_scenario("failures").model_copy(update={"choose": None})
-    things = ten_objects()
-    plan = plan_trial(scenario, things, seed, index)
+    name, seed, index, variant, draws, methods = job
+    campaign = Campaign(load_scenario(name).model_copy(update={"choose": None}), seed, 1, Path("unused"))
+    plan = plan_of(campaign, index)
     about = VARIANTS[variant]
-    world = World(things[plan.object], plan.speed)
+    world = world_of(campaign, plan)
     change(world, about)
     run = run_trial(
-        plan,
-        scenario,
-        world,
-        KnownGrasps(known_grasps(things[plan.object]), scenario.evaluator),
-        ModelledPerception(scenario, plan, world),
+        plan, campaign.scenario, world, grasps_of(campaign, plan), ModelledPerception(campaign.scenario, plan, world)
     )
     succeeded = run.finish is not None and run.finish.success
     sighted = [f.tick * PERIOD_NS for f in run.frames if f.accepted]
     gap, sided = blind_gap(sighted, None if run.close is None else run.close * PERIOD_NS)
     out: dict[str, Any] = {
-        "id": plan.id, "seed": seed, "index": index, "variant": variant, "object": plan.object, "speed": plan.speed,
+        "scenario": name, "id": plan.id, "seed": seed, "index": index, "variant": variant,
+        "object": plan.object, "speed": plan.speed,
         "outcome": "success" if succeeded else "failure", "outcome_said": outcome(run, world, seed),
         "gap_s": gap, "gap_sided": sided,
     }  # fmt: skip
@@ -261,6 +256,7 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenario", default="failures")
     parser.add_argument("--seed", type=int, default=3000, help="no other part of the project uses the default's trials")
     parser.add_argument("--trials", type=int, default=320, help="simulated trials; the failures among them are judged")
     parser.add_argument("--draws", type=int, default=VerdictConfig().draws)
@@ -276,7 +272,7 @@ def main() -> None:
     methods = tuple(m for m in methods if not rows or any(m in r for r in rows))
     if not options.tables:
         jobs = [
-            (options.seed, k, variant, options.draws, methods)
+            (options.scenario, options.seed, k, variant, options.draws, methods)
             for variant in options.variant or ["as simulated"]
             for k in range(options.trials)
         ]
@@ -287,7 +283,8 @@ def main() -> None:
                 file.flush()
     ran = [v for v in VARIANTS if any(r["variant"] == v for r in rows)]
     parts = [f"## {v}\n\n{tables([r for r in rows if r['variant'] == v], methods)}" for v in ran]
-    command = f"python -m benchmarks.verdict --seed {rows[0]['seed']} --trials {len(rows) // len(ran)} --draws {options.draws}"
+    command = f"python -m benchmarks.verdict --scenario {rows[0].get('scenario', 'failures')} --seed {rows[0]['seed']}"
+    command += f" --trials {len(rows) // len(ran)} --draws {options.draws}"
     title = "Verdicts on simulated failures that set nothing"
     print(write(options.out.stem, title, command, parts, options.out.parent).read_text(encoding="utf-8"))
 

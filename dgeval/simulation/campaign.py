@@ -101,14 +101,16 @@ def plan_of(campaign: Campaign, index: int) -> Plan:
     return planned(campaign.scenario, things, campaign.seed, index)
 
 
-def _world(campaign: Campaign, plan: Plan, cameras: tuple[Camera, ...] = ()) -> World:
+def world_of(campaign: Campaign, plan: Plan, cameras: tuple[Camera, ...] = ()) -> World:
+    """The world a plan is carried out in, before its start."""
     things = _things(campaign.meshes, campaign.scenario.vfas)
     others = tuple((things[name], x, y, yaw) for name, x, y, yaw in plan.others)
     setting = Setting(others, plan.presenter, plan.turn)
     return World(things[plan.object], plan.speed, cameras, setting, campaign.scenario.gripper)
 
 
-def _grasps(campaign: Campaign, plan: Plan) -> GraspSource:
+def grasps_of(campaign: Campaign, plan: Plan) -> GraspSource:
+    """Where the scenario's grasps come from."""
     scenario = campaign.scenario
     if scenario.grasps == "analytic":
         return KnownGrasps(_known(campaign.meshes, plan.object), scenario.evaluator)
@@ -120,9 +122,9 @@ def simulate(campaign: Campaign, plan: Plan) -> tuple[Run, World]:
     if campaign.scenario.vfas:
         with with_images(campaign, plan) as (run, world, _, _):
             return run, world
-    world = _world(campaign, plan)
+    world = world_of(campaign, plan)
     perceiver = ModelledPerception(campaign.scenario, plan, world)
-    return run_trial(plan, campaign.scenario, world, _grasps(campaign, plan), perceiver), world
+    return run_trial(plan, campaign.scenario, world, grasps_of(campaign, plan), perceiver), world
 
 
 @contextmanager
@@ -130,7 +132,7 @@ def with_images(campaign: Campaign, plan: Plan) -> Iterator[tuple[Run, World, Ey
     """One trial in closed loop in a world with cameras; the images kept are those that perception drew in the loop."""
     scenario = campaign.scenario
     cameras = true_cameras(scenario, plan)
-    world = _world(campaign, plan, cameras)
+    world = world_of(campaign, plan, cameras)
     with Eyes(world, cameras, depth_profile(scenario), plan.seed, plan.index) as eyes:
         if scenario.vfas:
             run, kept = run_vfas(plan, scenario, world, eyes)
@@ -141,7 +143,7 @@ def with_images(campaign: Campaign, plan: Plan) -> Iterator[tuple[Run, World, Ey
         if scenario.perception == "rendered":
             perceiver = RenderedPerception(scenario, plan, eyes)
             kept = perceiver.kept
-        run = run_trial(plan, scenario, world, _grasps(campaign, plan), perceiver)
+        run = run_trial(plan, scenario, world, grasps_of(campaign, plan), perceiver)
         yield run, world, eyes, kept
 
 
