@@ -145,6 +145,9 @@ class SelectionConfig(Section):
     c_m_s: float = Field(1.0, description="Table V, c_m,s")
     c_m_t: float = Field(-0.1, description="per m (Table V, c_m,t; distance always costs, PAPERS A1)")
     c_m_r: float = Field(-0.2, description="per rad (Table V, c_m,r)")
+    keep_margin: float = Field(
+        0.0, ge=0, description="by how much another grasp's metric must be better than that of the one chosen last (ours)"
+    )
     literal_eq5: bool = Field(False, description="the signs of equation 5 as printed, which reward distance")
     rotation_vector_difference: bool = Field(False, description="|r_G - r_R| instead of the geodesic angle (PAPERS A2)")
 
@@ -158,6 +161,9 @@ class ServoConfig(Section):
     c_O: float = Field(0.2, gt=0, description="m (Table V)")
     c_G: float = Field(0.05, gt=0, description="m (Table V)")
     derivative_tau: float = Field(0.1, gt=0, description="s; low-pass of the derivative (PAPERS A11)")
+    beyond_m: float = Field(
+        0.0, ge=0, description="m beyond the grasp along the fingers that the hand is sent to as long as it is before it (ours)"
+    )
 
 
 class OneEuroConfig(Section):
@@ -264,6 +270,17 @@ class Config(Section):
     schedule: ScheduleConfig = ScheduleConfig()
     verdict: VerdictConfig = VerdictConfig()
     review: ReviewConfig = ReviewConfig()
+
+    def beyond_the_paper(self) -> list[str]:
+        """What of the dynamic pipeline goes another way than the paper's, by these values: for the notes of a trial."""
+        out = []
+        if self.selection.keep_margin:
+            out.append(f"a chosen grasp is kept until another's metric is better by {self.selection.keep_margin:g}")
+        if self.servo.beyond_m:
+            out.append(f"the hand is sent {1e3 * self.servo.beyond_m:g} mm beyond the grasp")
+        if self.execution.arrived_m is not None:
+            out.append(f"executed within {1e3 * self.execution.arrived_m:g} mm of the grasp, not by score alone")
+        return [f"not in the paper: {what}" for what in out]
 
 
 def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) -> Config:

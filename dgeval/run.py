@@ -210,6 +210,7 @@ def _trial_row(
 
         given = [Path(f) for f in (config.grasps.generator, config.grasps.evaluator) if f is not None]
         names = [published(path) or f"weights {path.name}" for path in given]
+        notes += config.beyond_the_paper()
         notes.append("grasps by FFHNet with " + ", ".join(names if len(names) == 2 else [*names, "dgeval's own weights"]))
     row: dict[str, Any] = {
         "trial": spec.id,

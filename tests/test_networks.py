@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from dgeval.config import ExecutionConfig, GraspsConfig
+from dgeval.config import Config, ExecutionConfig, GraspsConfig
 from dgeval.errors import UsageError
 from dgeval.geometry import Array, increment
 from dgeval.networks import checkpoints
@@ -24,6 +24,7 @@ from dgeval.physics.urdf import robot_urdf
 from dgeval.recording.description import load_description
 from dgeval.simulation.perception import Sight, T_hand_camera
 from dgeval.simulation.proposals import FFHNetGrasps
+from dgeval.simulation.scenario import load_scenario
 from dgeval.stages.execution import execute
 from dgeval.stages.grasping import encode_cloud, evaluate, networks_of, propose
 from dgeval.stages.reachability import arm_of
@@ -346,6 +347,14 @@ def test_arm_of_the_description_is_the_arm() -> None:
     far = np.eye(4)
     far[:3, 3] = (2.5, 0, 0.3)
     assert arm.solve(far, np.zeros(7)) is None
+
+
+def test_what_is_not_in_the_paper_is_named() -> None:
+    """Catches a rule of ours that runs in silence, and one that is named where the paper's own runs."""
+    assert Config().beyond_the_paper() == []
+    named = " ".join(load_scenario("conveyor").pipeline.beyond_the_paper())
+    for what in ("kept until", "12 mm beyond", "within 5 mm"):
+        assert what in named
 
 
 def test_a_hand_on_its_way_is_not_executed() -> None:

@@ -17,12 +17,14 @@ from dgeval.config import (
 from dgeval.determinism import generator
 from dgeval.errors import MissingDependencyError
 from dgeval.geometry import Intrinsics, increment, invert, matrix_from_pose, transform
+from dgeval.physics.hand import T_hand_palm
 from dgeval.recording.description import LinkShape
 from dgeval.recording.frame import Frame
 from dgeval.stages import align
 from dgeval.stages.estimation import VelocityFilter
 from dgeval.stages.execution import execute
 from dgeval.stages.fusion import Fusion, supported
+from dgeval.stages.grasping import overlap_allowed
 from dgeval.stages.observation import observe
 from dgeval.stages.plane import fit_plane
 from dgeval.stages.registration import BACKENDS, gate, register
@@ -326,6 +328,16 @@ def test_metric_closed_form_and_nan_scores() -> None:
     assert by_metric(np.full(3, 0.4)).tolist() == [0, 1, 2]
 
 
+def test_the_grasp_chosen_last_is_kept_until_another_is_better_by_the_margin() -> None:
+    metric = np.array([0.5, 0.64, 0.4])  # the last one is the grasp chosen before
+    assert by_metric(metric, 0.2).tolist() == [1, 2, 0]
+    assert by_metric(metric, 0.3).tolist() == [2, 1, 0]
+    assert metric.tolist() == [0.5, 0.64, 0.4]
+    # it alone may lie deeper in a cloud whose noise has changed
+    assert overlap_allowed(np.array([0, 2]), 3, True, 0.004).tolist() == pytest.approx([0.004, 0.010])
+    assert overlap_allowed(np.array([0, 2]), 3, False, 0.004).tolist() == pytest.approx([0.004, 0.004])
+
+
 def test_servo_law_at_rest_is_proportional_plus_velocity() -> None:
     servo = Servo(ServoConfig())
     v = np.array([0.05, 0, 0])
@@ -333,6 +345,17 @@ def test_servo_law_at_rest_is_proportional_plus_velocity() -> None:
     assert np.allclose(command.twist[:3], [0.04 + 0.05, 0, 0])
     assert np.allclose(command.twist[3:], [0, 0, 2.5 * 0.2])
     assert (command.error_linear, command.error_angular) == (pytest.approx(0.04), pytest.approx(0.2))
+
+
+def test_a_hand_sent_beyond_the_grasp_does_not_creep_up_to_it() -> None:
+    ahead = invert(T_hand_palm)[:3, 2]  # along the fingers of a palm in its own frame
+    config = ServoConfig(beyond_m=0.012)
+    for metres, wanted in ((0.004, 0.016), (-0.004, -0.004)):  # before the grasp, and behind it
+        grasp = at()
+        grasp[:3, 3] = metres * ahead
+        command = Servo(config).step(0, at(), grasp, None, np.zeros(3), np.zeros(3))
+        np.testing.assert_allclose(command.twist[:3], wanted * ahead, atol=1e-12)
+        assert command.error_linear == pytest.approx(0.004)  # the error stays that to the grasp
 
 
 def test_servo_derivative_is_filtered_and_damps_a_growing_error() -> None:

@@ -10,6 +10,7 @@ import pytest
 import torch
 from dgeval.geometry import invert, transform
 from dgeval.networks.bps import basis
+from dgeval.networks.ffhnet import load_evaluator as load_ffhnet_evaluator
 from dgeval.networks.ffhnet import palms_of
 from dgeval.networks.pointnet2 import VFAS, load_evaluator
 from dgeval.physics.objects import procedural_object, surface_points, ten_objects
@@ -19,17 +20,17 @@ from dgeval.training.ffhnet import Settings, batch_of, load_objects
 from dgeval.training.grasp_data import make_grasps, read_grasps, write_grasps
 from dgeval.training.jaw_data import write_scenes
 from dgeval.training.pool import write_all
-from dgeval.training.ship import scores_of
+from dgeval.training.ship import export, scores_of
 from dgeval.training.views import camera_at, views_of
 
-SMALL = Settings(n_bps=64, width=24, hidden=16, views=4, held_out=2, batch=64, steps=12, generator_steps=12)
+SMALL = Settings(n_bps=64, width=24, hidden=16, views=4, held_out=2, batch=64, steps=12, generator_steps=12, tune_steps=4)
 
 
 @pytest.fixture(scope="module")
 def grasps(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six small objects, a few grasps each."""
     out = tmp_path_factory.mktemp("train") / "grasps"
-    write_all(partial(write_grasps, out=out, seed=0, tried=12), 6, 1, lambda _: None)
+    write_all(partial(write_grasps, out=out, seed=0, tried=12), range(6), 1, lambda _: None)
     return out
 
 
@@ -114,6 +115,37 @@ def test_a_resumed_run_ends_like_an_uninterrupted_one(
     assert steps[0] == 6
     for name, tensor in whole.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
+
+
+@pytest.mark.slow
+def test_an_evaluator_is_tuned_on_what_it_would_choose(grasps: Path, tmp_path: Path) -> None:
+    """Catches choices taken for other grasps, or with the wrong label, and a cloud's share that does not stay."""
+    generator_file, first = tmp_path / "generator.safetensors", tmp_path / "first_fingers.safetensors"
+    export(ffhnet.new_network("generator", SMALL), generator_file)
+    export(ffhnet.new_network("evaluator_fingers", SMALL), first)
+    chosen = tmp_path / "chosen"
+    write_all(lambda k: write_grasps(k, chosen, 0, 0, generator_file, first), [0, 1, 7], 1, lambda _: None)
+    for path in chosen.iterdir():  # nothing that new weights choose holds: two that do
+        with np.load(path) as file:
+            found = {k: file[k] for k in file}
+        assert not found["held"].any()
+        found |= {"T_object_palm": np.tile(np.eye(4), (4, 1, 1)), "joints": np.zeros((4, 15))}
+        found |= {"held": np.array([1, 1, 0, 0], bool), "overlapping": np.zeros(4, bool)}
+        np.savez(path, **found)
+    objects = load_objects(grasps, SMALL, 6, 0, chosen=chosen)
+    assert [len(o.rows["chosen_held"]) for o in objects] == [2, 2, 0, 0, 0, 0, 2]
+    assert len(objects[6].rows["held"]) == 0
+    assert len(objects[0].rows["held"]) == read_grasps(grasps / f"{objects[0].name}.npz").held.sum()
+    for kind, label in (("chosen_held", 1), ("chosen_failed", 0)):
+        assert (batch_of(objects, 20, {kind: 1.0}, np.random.default_rng(0))[2] == label).all()
+    network = load_ffhnet_evaluator(first)
+    before = {k: v.clone() for k, v in network.state_dict().items()}
+    ffhnet.tune(network, [objects[0], objects[1], objects[6]], SMALL, tmp_path / "tuned.ckpt", lambda *_: None)
+    after = network.state_dict()
+    of_cloud = slice(SMALL.width, SMALL.width + SMALL.n_bps)
+    assert torch.equal(after["rb2.fc1.weight"][:, of_cloud], before["rb2.fc1.weight"][:, of_cloud])
+    for moved in (slice(0, SMALL.width), slice(SMALL.width + SMALL.n_bps, None)):
+        assert not torch.equal(after["rb2.fc1.weight"][:, moved], before["rb2.fc1.weight"][:, moved])
 
 
 def test_scores_against_closed_forms() -> None:

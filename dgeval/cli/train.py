@@ -40,7 +40,7 @@ def train(
     scenes: Annotated[int, typer.Option(min=1, help="vfas: views per object, each with 24 poses tried in physics.")] = 16,
     views: Annotated[int, typer.Option(min=2, help="ffhnet: clouds per object.")] = 100,
     steps: Annotated[
-        int | None, typer.Option(min=10, help="Of an evaluator, 3000 or 4000; FFHNet's generator takes 8 for every 3.")
+        int | None, typer.Option(min=10, help="Of an evaluator, 6500 or 4000; FFHNet's generator takes 16 for every 13.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of data, weights and batches.")] = 0,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes for the physics; results don't depend on it.")] = 1,
@@ -65,7 +65,7 @@ def train(
             bar.update(tasks[phase], completed=step, description=f"{phase}: {said}" if said else phase)
 
         if network == "ffhnet":
-            metrics = _ffhnet(out, objects or 63, tried, views, steps or 3000, seed, jobs, totals, progress)
+            metrics = _ffhnet(out, objects or 63, tried, views, steps or 6500, seed, jobs, totals, progress)
         else:
             from dgeval.training.vfas import Settings, train_all
 
@@ -97,9 +97,11 @@ def _ffhnet(
     from dgeval.training.pool import write_all
     from dgeval.training.ship import train_all
 
-    totals.update(grasps=objects, generator=steps * 8 // 3, evaluator=steps, evaluator_fingers=steps)
-    settings = Settings(views=views, steps=steps, generator_steps=steps * 8 // 3, seed=seed, held_out=min(9, objects // 3))
+    own = {"generator_steps": steps * 16 // 13, "tune_steps": steps * 5 // 13}
+    totals.update(grasps=objects, generator=own["generator_steps"], evaluator=steps, evaluator_fingers=steps)
+    totals["tuning"] = own["tune_steps"]
+    settings = Settings(views=views, steps=steps, seed=seed, held_out=min(9, objects // 3), **own)
     made = iter(range(1, objects + 1))
     make = partial(write_grasps, out=out / "grasps", seed=seed, tried=tried)
-    write_all(make, objects, jobs, lambda _: progress("grasps", next(made), {}))
+    write_all(make, range(objects), jobs, lambda _: progress("grasps", next(made), {}))
     return train_all(out, objects, settings, tried, jobs, progress)

@@ -14,14 +14,15 @@ from dgeval.geometry import Array, invert, rotation_angle
 from dgeval.simulation.grasps import KnownGrasp
 from dgeval.simulation.perception import Sight
 from dgeval.simulation.scenario import EvaluatorConfig
-from dgeval.stages.grasping import EncodedCloud, Networks, encode_cloud, evaluate, free_of, propose
+from dgeval.stages.grasping import EncodedCloud, Networks, encode_cloud, evaluate, free_of, overlap_allowed, propose
 
 
 @dataclass(frozen=True)
 class Proposals:
     """Candidates that move with the object as the robot believes it: T_object_palm (n, 4, 4), preshapes (n, 15), scores (n,).
 
-    cloud: what they were drawn for, in axes view with T_view_object; None of known grasps.
+    cloud: what they were drawn for, in axes view with T_view_object; None of known grasps. kept: the last one is the grasp
+    chosen before.
     """
 
     T_object_palm: Array
@@ -31,13 +32,15 @@ class Proposals:
     T_view_object: Array | None = None
     max_overlap: float = 0.0
     support: tuple[Array, float] | None = None
+    kept: bool = False
 
     def free(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Whether the hand at candidates (k,) lies outside the cloud they were drawn for; known grasps always do."""
         if self.cloud is None or self.T_view_object is None:
             return np.ones(len(rows), bool)
         poses = self.T_view_object @ self.T_object_palm[rows]
-        return free_of(self.cloud, poses, self.preshapes[rows], self.support, self.max_overlap)
+        most = overlap_allowed(rows, len(self.scores), self.kept, self.max_overlap)
+        return free_of(self.cloud, poses, self.preshapes[rows], self.support, most)
 
 
 class GraspSource(Protocol):
@@ -92,10 +95,7 @@ class FFHNetGrasps:
         R_cloud_base = self._networks.R_cloud_base(T_base_camera)  # its origin stays the base's
         cloud = encode_cloud(sight.cloud @ R_cloud_base.T, self._networks)
         T_view_object = np.eye(4)
-        T_view_object[:3, :3], T_view_object[:3, 3] = (
-            R_cloud_base @ T_base_object[:3, :3],
-            R_cloud_base @ T_base_object[:3, 3],
-        )
+        T_view_object[:3] = R_cloud_base @ T_base_object[:3]
         again = None if kept is None else (T_view_object @ kept[0], kept[1])
         index = self._index * 100_000 + frame
         drawn = propose(cloud, self._networks, self._config.candidates, self._seed, index, again)
@@ -103,7 +103,7 @@ class FFHNetGrasps:
         z = self._config.support_z
         support = None if z is None else (R_cloud_base[:, 2], z)
         most = self._config.max_overlap
-        self._last = Proposals(poses, drawn.joints, drawn.scores, cloud, T_view_object, most, support)
+        self._last = Proposals(poses, drawn.joints, drawn.scores, cloud, T_view_object, most, support, drawn.kept)
         return self._last
 
     def score(self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array) -> float:  # noqa: ARG002  the protocol's

@@ -161,6 +161,7 @@ def _at(tick: int) -> int:
 def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
     perception = MODELLED if scenario.perception == "modelled" else RENDERED
     notes = [perception, GRASPS[scenario.grasps], f"simulated: servo gains {scenario.pipeline.servo.gains}"]
+    notes += [f"simulated: {what}" for what in scenario.pipeline.beyond_the_paper()]
     start = {"event": "trial_start", "notes": VFAS if scenario.vfas else notes}
     out = {0: [("/dgeval/events", text(json.dumps(start)))]}
     if run.close is not None:

@@ -214,7 +214,8 @@ class _Chooser:
         if proposals is not self._of:
             self._of, self._feasible = proposals, Feasible(proposals.free, self._reaches)
         self._poses = poses
-        return self._feasible.first(by_metric(grasp_metric(poses, proposals.scores, palm, config)))
+        metric = grasp_metric(poses, proposals.scores, palm, config)
+        return self._feasible.first(by_metric(metric, config.keep_margin if proposals.kept else 0.0))
 
     def _reaches(self, row: int) -> bool:
         _, residual = self._world.kinematics.solve(self._poses[row], self._world.q_set, 100, enough=REACHED)

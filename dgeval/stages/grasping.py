@@ -33,6 +33,7 @@ JOINT_HIGH = np.tile([0.261799, 1.48353, 1.13446], 5)
 UPRIGHT = np.diag([1.0, -1.0, -1.0])  # R_cloud_base of what dgeval's own weights learned: z down, whatever the camera's
 OVERLAP_POINTS = 300  # of a cloud, in which overlaps are looked for
 CHUNK = 32  # candidates whose overlap is calculated at a time
+KEPT_SLACK = 2.5  # times the overlap allowed, for the grasp chosen last: a cloud's noise shall not take it away
 MOST_TRIED = 32  # candidates out of the arm's reach, after which there is none
 
 
@@ -70,11 +71,15 @@ class EncodedCloud:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Grasps in the frame of the cloud: T_cloud_palm (n, 4, 4), joints before closing (n, 15) rad, scores (n,) in 0..1."""
+    """Grasps in the frame of the cloud: T_cloud_palm (n, 4, 4), joints before closing (n, 15) rad, scores (n,) in 0..1.
+
+    kept: the last one is the grasp chosen before.
+    """
 
     T_cloud_palm: Array
     joints: Array
     scores: Array
+    kept: bool = False
 
 
 def networks_of(config: GraspsConfig) -> Networks:
@@ -129,13 +134,19 @@ def propose(
         np.concatenate([out.T_cloud_palm, kept[0][None]]),
         np.concatenate([out.joints, kept[1][None]]),
         np.concatenate([out.scores, again]),
+        kept=True,
     )
 
 
+def overlap_allowed(rows: NDArray[np.intp], n: int, kept: bool, most: float) -> Array:
+    """m, of rows (k,) of n candidates of which the last one may be the one chosen before."""
+    return np.where(kept & (rows == n - 1), KEPT_SLACK * most, most)
+
+
 def free_of(
-    cloud: EncodedCloud, T_cloud_palm: Array, joints: Array, support: tuple[Array, float] | None, most: float
+    cloud: EncodedCloud, T_cloud_palm: Array, joints: Array, support: tuple[Array, float] | None, most: float | Array
 ) -> NDArray[np.bool_]:
-    """Whether the preshaped hand at poses (n, 4, 4) lies at most `most` m deep in the cloud and below its support.
+    """Whether the preshaped hand at poses (n, 4, 4) lies at most `most` m, (n,), deep in the cloud and below its support.
 
     support: normal (3,) and offset m of the plane in the cloud's frame.
     """

@@ -13,7 +13,17 @@ from dgeval.geometry import Array, invert, transform
 from dgeval.recording.frame import Frame
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
-from dgeval.stages.grasping import Candidates, EncodedCloud, Feasible, encode_cloud, evaluate, free_of, networks_of, propose
+from dgeval.stages.grasping import (
+    Candidates,
+    EncodedCloud,
+    Feasible,
+    encode_cloud,
+    evaluate,
+    free_of,
+    networks_of,
+    overlap_allowed,
+    propose,
+)
 from dgeval.stages.reachability import Arm, arm_of
 from dgeval.stages.recorded_grasps import Choice
 from dgeval.stages.schedule import Delayed
@@ -69,9 +79,15 @@ class ModelGrasps:
         support = None if z is None else (T_base_cloud[2, :3], z - float(T_base_cloud[2, 3]))
         metric = candidates.scores if palm is None else grasp_metric(poses, candidates.scores, palm, config.selection)
         chosen = Feasible(
-            lambda rows: free_of(cloud, candidates.T_cloud_palm[rows], candidates.joints[rows], support, most),
+            lambda rows: free_of(
+                cloud,
+                candidates.T_cloud_palm[rows],
+                candidates.joints[rows],
+                support,
+                overlap_allowed(rows, len(poses), candidates.kept, most),
+            ),
             self._reaches(poses, frame.t_ns),
-        ).first(by_metric(metric))
+        ).first(by_metric(metric, config.selection.keep_margin if candidates.kept else 0.0))
         if chosen is None:
             return None
         joints = candidates.joints[chosen]

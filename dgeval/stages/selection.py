@@ -26,7 +26,9 @@ def grasp_metric(T_base_palm: Array, scores: Array, T_base_hand_palm: Array, con
     return np.asarray(config.c_m_s * scores - abs(config.c_m_t) * d_t - abs(config.c_m_r) * d_r)
 
 
-def by_metric(metric: Array) -> NDArray[np.intp]:
-    """Candidates from the greatest metric down, the first among equals; NaN are left out."""
+def by_metric(metric: Array, kept: float = 0.0) -> NDArray[np.intp]:
+    """Candidates from the greatest metric down, the first among equals; NaN are left out. kept: added to the last one's."""
+    if kept:
+        metric = np.append(metric[:-1], metric[-1] + kept)
     order = np.argsort(-metric, kind="stable")
     return np.asarray(order[np.isfinite(metric[order])])

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgeval.config import ServoConfig
-from dgeval.geometry import Array, rotation_angle, rotation_vector
+from dgeval.geometry import Array, invert, rotation_angle, rotation_vector
+from dgeval.physics.hand import T_hand_palm
 
 FAST_DERIVATIVE_GAINS = (0.2, 0.5)  # PAPERS A11
+ALONG_FINGERS = invert(T_hand_palm)[:3, 2]  # palm frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,13 +60,17 @@ class Servo:
     ) -> ServoCommand:
         """Command for the recorded palm towards the grasp; target (3,) m and velocity (3,) m/s of the object, base frame.
 
-        Without a camera pose the orientation error is that of the grasp at any distance.
+        Without a camera pose the orientation error is that of the grasp at any distance. With `beyond_m` the hand passes
+        through the grasp at some speed; sent to the grasp itself it creeps, and what closes it always closes it short.
         """
         c = self.config
         t_G = T_base_grasp[:3, 3] - T_base_palm[:3, 3]
         R = T_base_grasp[:3, :3] @ T_base_palm[:3, :3].T
         r_G = rotation_vector(R)
         distance = float(np.linalg.norm(t_G))
+        axis = T_base_grasp[:3, :3] @ ALONG_FINGERS
+        if t_G @ axis > 0:
+            t_G = t_G + c.beyond_m * axis
         r = r_G if T_base_camera is None else blend_rotation(distance, look_at_rotation(T_base_camera, target), r_G, c)
         error = np.concatenate([t_G, r])
         if self._last is not None and t_ns > self._last[0]:

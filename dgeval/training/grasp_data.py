@@ -2,7 +2,8 @@
 
 An object stands on a table; the hand flies to a pose, closes, lifts, and is shaken. Poses come from a random sampler
 (SIMULATION section 6a) and from perturbing those that held; poses in which the open hand overlaps the object are kept as
-failures without a try.
+failures without a try. Later an evaluator learns from what it would choose itself: the highest scores of thousands of
+candidates are where its own mistakes are.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from dgeval import __version__
 from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, increment, invert
-from dgeval.networks.ffhnet import FFHGenerator, load_generator
+from dgeval.networks.ffhnet import FFHGenerator, load_evaluator, load_generator
 from dgeval.physics.hand import T_hand_palm
 from dgeval.physics.objects import ObjectModel, at, procedural_object, surface_points
 from dgeval.recording.containers import sha256_of
@@ -33,6 +34,8 @@ OVERLAP = 0.002  # m; hand and object deeper in each other than this: no pose a 
 LIGHT_TOUCH = 0.004  # m; proposals may touch by so much, as hands do that arrive
 PROPOSED_VIEWS = 8
 MOST_DRAWN = 15_000  # candidates per object
+CHOSEN_VIEWS, CHOSEN_DRAWS = 8, 8  # of an object, from which an evaluator chooses
+BEST_SCORED = 300  # candidates that are looked at
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,15 @@ def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: in
     return GraspData(np.array(poses), np.array(joints), np.array(held), np.array(overlapping))
 
 
+def holds(world: FlyingHand, T_object_palm: Array, joints: Array) -> bool:
+    """Whether a hand put there holds the object through lift and shake; one that lies deeper in it or in the table doesn't.
+
+    A view says nothing of the far side, so many that look free lie in it; physics alone would push them out and lift.
+    """
+    world.put_palm(T_object_palm, joints)
+    return world.overlap(anything=True) <= LIGHT_TOUCH and world.lifts(joints, shake=True)
+
+
 def free_on_table(thing: ObjectModel, T_cloud_object: Array, cloud: EncodedCloud, candidates: Candidates) -> NDArray[np.bool_]:
     """Which candidates (n,) lie at most a light touch deep in the cloud of a standing object and in its table."""
     normal = T_cloud_object[:3, 2]
@@ -135,35 +147,46 @@ def free_on_table(thing: ObjectModel, T_cloud_object: Array, cloud: EncodedCloud
 
 
 def try_selected(
-    thing: ObjectModel, networks: Networks, seed: int, views: int
-) -> tuple[list[EncodedCloud], Array, Array, Array]:
-    """What would be chosen for views of an object, tried: of 256 candidates that are free, the four best and four at random.
+    thing: ObjectModel, networks: Networks, seed: int, views: int, draws: int = 1
+) -> tuple[list[EncodedCloud], Array, Array, Array, NDArray[np.bool_]]:
+    """What would be chosen for views of an object, tried: of draws x 256 candidates, the BEST_SCORED of them, those that are
+    free: the four best and four at random.
 
-    Returns the clouds, by grasp; T_cloud_palm (n, 4, 4); joints (n, 15); held (n,).
+    Returns the clouds, by grasp; T_cloud_palm (n, 4, 4) and T_object_palm (n, 4, 4); joints (n, 15); held (n,).
     """
     world = FlyingHand(thing)
     surface = surface_points(thing, 12_000, generator(seed, f"selected/{thing.name}", 0))
-    clouds, poses, joints, held = [], [], [], []
+    clouds, poses, in_object, joints, held = [], [], [], [], []
     for k in range(views):
         rng = generator(seed, f"selected view/{thing.name}", k)
         points, T_cloud_object = cloud_of(surface, k % 2 == 1, rng)
         cloud = encode_cloud(points, networks)
-        drawn = propose(cloud, networks, 256, seed, k)
-        free = np.flatnonzero(free_on_table(thing, T_cloud_object, cloud, drawn))
-        best = free[np.argsort(-drawn.scores[free], kind="stable")][:4]
-        for row in [*best, *rng.permutation(np.setdiff1d(free, best))[:4]]:
-            world.put_palm(invert(T_cloud_object) @ drawn.T_cloud_palm[row], drawn.joints[row])
+        parts = [propose(cloud, networks, 256, seed, k + 1000 * draw) for draw in range(draws)]
+        drawn = Candidates(
+            np.concatenate([p.T_cloud_palm for p in parts]),
+            np.concatenate([p.joints for p in parts]),
+            np.concatenate([p.scores for p in parts]),
+        )
+        order = np.argsort(-drawn.scores, kind="stable")[:BEST_SCORED]
+        top = Candidates(drawn.T_cloud_palm[order], drawn.joints[order], drawn.scores[order])
+        free = order[free_on_table(thing, T_cloud_object, cloud, top)]
+        for row in [*free[:4], *rng.permutation(np.sort(free[4:]))[:4]]:
+            T_object_palm = invert(T_cloud_object) @ drawn.T_cloud_palm[row]
             clouds.append(cloud)
             poses.append(drawn.T_cloud_palm[row])
+            in_object.append(T_object_palm)
             joints.append(drawn.joints[row])
-            held.append(world.lifts(drawn.joints[row], shake=True))
-    return clouds, np.array(poses), np.array(joints), np.array(held)
+            held.append(holds(world, T_object_palm, drawn.joints[row]))
+    shape = (-1, 4, 4)
+    return clouds, np.reshape(poses, shape), np.reshape(in_object, shape), np.reshape(joints, (-1, 15)), np.array(held, bool)
 
 
-def write_grasps(index: int, out: Path, seed: int, tried: int, weights: Path | None = None) -> Path:
+def write_grasps(
+    index: int, out: Path, seed: int, tried: int, weights: Path | None = None, evaluator: Path | None = None
+) -> Path:
     """Grasps of procedural object `index` as OUT/<object>.npz; a finished file of the same settings is kept.
 
-    weights: of a generator whose proposals are tried in place of sampled grasps.
+    weights: of a generator whose proposals are tried in place of sampled grasps; with `evaluator`, those that it chooses.
     """
     limit_threads()
     out.mkdir(parents=True, exist_ok=True)
@@ -172,9 +195,18 @@ def write_grasps(index: int, out: Path, seed: int, tried: int, weights: Path | N
     about = f"dgeval {__version__} grasps {VERSION} mujoco {mujoco.__version__} seed {seed} tried {tried}"
     if weights is not None:
         about += f" proposed by {sha256_of(weights)}"
+    if evaluator is not None:
+        about += f" chosen by {sha256_of(evaluator)}"
     if path.is_file() and str(np.load(path)["about"]) == about:
         return path
-    data = make_grasps(thing, seed, tried) if weights is None else try_proposed(thing, load_generator(weights), seed, tried)
+    if weights is None:
+        data = make_grasps(thing, seed, tried)
+    elif evaluator is None:
+        data = try_proposed(thing, load_generator(weights), seed, tried)
+    else:
+        networks = Networks(load_generator(weights), load_evaluator(evaluator), upright=True)
+        _, _, T, joints, held = try_selected(thing, networks, seed, CHOSEN_VIEWS, CHOSEN_DRAWS)
+        data = GraspData(T, joints, held, np.zeros(len(held), np.bool_))
     part = path.with_suffix(".part.npz")
     np.savez_compressed(
         part,

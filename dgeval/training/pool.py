@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from dgeval.determinism import set_thread_variables
 
 
-def write_all(make: Callable[[int], Path], objects: int, jobs: int, progress: Callable[[Path], None]) -> list[Path]:
-    """What `make` (which can be pickled) writes for objects 0 … objects - 1; the same for any number of jobs."""
+def write_all(make: Callable[[int], Path], objects: Sequence[int], jobs: int, progress: Callable[[Path], None]) -> list[Path]:
+    """What `make` (which can be pickled) writes for objects by their numbers; the same for any number of jobs."""
     if jobs == 1:
         paths = []
-        for index in range(objects):
+        for index in objects:
             paths.append(make(index))
             progress(paths[-1])
         return paths
     set_thread_variables()
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        waiting = [pool.submit(make, index) for index in range(objects)]
+        waiting = [pool.submit(make, index) for index in objects]
         for future in waiting:
             progress(future.result())
         return [future.result() for future in waiting]

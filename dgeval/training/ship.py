@@ -19,7 +19,7 @@ from dgeval.networks.checkpoints import quantised
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_generator, palms_of
 from dgeval.physics.objects import procedural_object
 from dgeval.stages.grasping import Networks
-from dgeval.training.ffhnet import Kind, ObjectData, Settings, calibrate, load_objects, train
+from dgeval.training.ffhnet import Kind, ObjectData, Settings, calibrate, load_objects, train, tune
 from dgeval.training.grasp_data import try_selected, write_grasps
 from dgeval.training.pool import write_all
 
@@ -49,7 +49,7 @@ def train_all(
     export(trained("generator", load_objects(out / "grasps", settings, objects, settings.seed)), generator_file)
     # the evaluators also learn from what this generator proposes: its mistakes are those that they will have to see
     make = partial(write_grasps, out=out / "proposed", seed=settings.seed, tried=proposals, weights=generator_file)
-    write_all(make, objects, jobs, lambda _: None)
+    write_all(make, range(objects), jobs, lambda _: None)
     data = load_objects(out / "grasps", settings, objects, settings.seed, out / "proposed")
     learning, held_out = data[: -settings.held_out], data[-settings.held_out :]
     metrics: dict[str, Any] = {"settings": asdict(settings), "data": _about(learning, held_out), "held_out": {}}
@@ -57,6 +57,15 @@ def train_all(
     for kind in kinds:
         network = trained(kind, data)
         assert isinstance(network, FFHEvaluator)
+        # ... and from what it would choose itself, of its objects and of as many new ones
+        chosen, first = out / f"chosen_by_{kind}", out / f"first_{kind}.safetensors"
+        export(network, first)
+        make = partial(write_grasps, out=chosen, seed=settings.seed, tried=0, weights=generator_file, evaluator=first)
+        indices = [*range(len(learning)), *range(objects, objects + len(learning))]
+        write_all(make, indices, jobs, lambda _: None)
+        with_own = load_objects(out / "grasps", settings, objects, settings.seed, out / "proposed", chosen)
+        own = [o for o in with_own if len(o.rows["chosen_held"]) or len(o.rows["chosen_failed"])]
+        tune(network, own, settings, out / f"{kind}_tuned.ckpt", lambda step, terms: progress("tuning", step, terms))
         # one half of the held-out objects calibrates, the other measures
         networks = Networks(load_generator(generator_file), network, upright=True)
         unseen = range(objects - settings.held_out, objects)
@@ -77,7 +86,7 @@ def selected(networks: Networks, indices: Sequence[int], seed: int) -> tuple[Ten
     """
     bps, poses, joints, held = [], [], [], []
     for index in indices:
-        clouds, T, q, h = try_selected(procedural_object(index, seed), networks, seed, SELECTED_VIEWS)
+        clouds, T, _, q, h = try_selected(procedural_object(index, seed), networks, seed, SELECTED_VIEWS)
         bps += [c.bps[0] for c in clouds]
         T[:, :3, 3] -= np.array([c.mean for c in clouds])
         poses.append(T)

@@ -130,7 +130,7 @@ def train_all(
     limit_threads()
     made = iter(range(1, objects + 1))
     make = partial(write_scenes, out=out / "scenes", seed=settings.seed, seeds=seeds)
-    write_all(make, objects, jobs, lambda _: progress("scenes", next(made), {}))
+    write_all(make, range(objects), jobs, lambda _: progress("scenes", next(made), {}))
     data = load_scenes(out / "scenes", objects, settings.seed)
     learning, unseen = (
         [s for thing in part for s in thing] for part in (data[: -settings.held_out], data[-settings.held_out :])
