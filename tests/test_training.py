@@ -15,9 +15,10 @@ from dgeval.networks.ffhnet import palms_of
 from dgeval.networks.pointnet2 import VFAS, load_evaluator
 from dgeval.physics.objects import procedural_object, surface_points, ten_objects
 from dgeval.simulation.clouds import seen_from
+from dgeval.simulation.grasps import FlyingHand
 from dgeval.training import ffhnet, loop, vfas
 from dgeval.training.ffhnet import Settings, batch_of, load_objects
-from dgeval.training.grasp_data import make_grasps, read_grasps, write_grasps
+from dgeval.training.grasp_data import LIGHT_TOUCH, holds, make_grasps, read_grasps, write_grasps
 from dgeval.training.jaw_data import write_scenes
 from dgeval.training.pool import write_all
 from dgeval.training.ship import export, scores_of
@@ -146,6 +147,21 @@ def test_an_evaluator_is_tuned_on_what_it_would_choose(grasps: Path, tmp_path: P
     assert torch.equal(after["rb2.fc1.weight"][:, of_cloud], before["rb2.fc1.weight"][:, of_cloud])
     for moved in (slice(0, SMALL.width), slice(SMALL.width + SMALL.n_bps, None)):
         assert not torch.equal(after["rb2.fc1.weight"][:, moved], before["rb2.fc1.weight"][:, moved])
+
+
+@pytest.mark.slow
+def test_a_hand_in_the_far_side_of_an_object_does_not_hold_it(grasps: Path) -> None:
+    """Catches a label from physics alone, which pushes such a hand out of the object and often lifts."""
+    lifted = 0
+    for index in range(6):
+        thing = procedural_object(index, 0)
+        data, world = read_grasps(grasps / f"{thing.name}.npz"), FlyingHand(thing)
+        for T, joints in zip(data.T_object_palm[data.overlapping], data.joints[data.overlapping], strict=True):
+            world.put_palm(T, joints)
+            if world.overlap(anything=True) > LIGHT_TOUCH:
+                lifted += world.lifts(joints, shake=True)
+                assert not holds(world, T, joints)
+    assert lifted > 0
 
 
 def test_scores_against_closed_forms() -> None:
