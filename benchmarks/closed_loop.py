@@ -17,10 +17,9 @@ from dgeval.determinism import limit_threads, set_thread_variables
 
 set_thread_variables()
 
-from dgeval.physics.objects import ten_objects  # noqa: E402
-from dgeval.simulation.campaign import Campaign, simulate  # noqa: E402
+from dgeval.simulation.campaign import Campaign, plan_of, simulate  # noqa: E402
 from dgeval.simulation.faults import Faults  # noqa: E402
-from dgeval.simulation.scenario import load_scenario, plan_trial  # noqa: E402
+from dgeval.simulation.scenario import load_scenario  # noqa: E402
 
 from benchmarks.result import table, write  # noqa: E402
 from benchmarks.simulation import PUBLISHED, rates  # noqa: E402
@@ -30,10 +29,11 @@ def outcome(name: str, seed: int, index: int, faultless: bool) -> dict[str, Any]
     """One trial: what `rates` needs, and how it ended."""
     limit_threads()
     scenario = load_scenario(name)
-    plan = plan_trial(scenario, ten_objects(), seed, index)
+    campaign = Campaign(scenario, seed, 1, Path("unused"))
+    plan = plan_of(campaign, index)
     if faultless:
         plan = replace(plan, faults=Faults())
-    run, _ = simulate(Campaign(scenario, seed, 1, Path("unused")), plan)
+    run, _ = simulate(campaign, plan)
     held = run.finish is not None and run.finish.success
     ended = "held" if held else "never closed" if run.close is None else "closed and lost"
     best = max((t.score or 0.0 for t in run.ticks), default=0.0)

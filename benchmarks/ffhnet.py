@@ -31,7 +31,7 @@ from scipy.spatial import cKDTree
 from benchmarks.result import RESULTS, table, write
 
 WAYS = ("single view, best", "single view, best free", "fused, best", "fused, best free", "random free pose", "known grasps")
-UNSEEN = range(200, 209)  # procedural objects, one of each kind, that no training run with fewer than 100 has seen
+UNSEEN = range(200, 209)  # procedural objects, one of each kind, that no training run with its defaults has seen
 
 
 def milliseconds(function: Callable[[], Any], repeats: int = 9) -> float:

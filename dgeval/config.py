@@ -132,7 +132,10 @@ class GraspsConfig(Section):
     )
     candidates: int = Field(256, ge=1, le=10_000, description="grasps drawn per frame (paper: not given, PAPERS A14)")
     max_overlap: float = Field(
-        0.004, ge=0, description="m; candidates whose hand lies deeper in the model are left out (ours; 1 turns it off)"
+        0.004,
+        ge=0,
+        description="m; candidates whose hand lies deeper in the model are left out, the one chosen last if 2.5 times as deep "
+        "(ours; 1 turns it off)",
     )
     support_z: float | None = Field(
         None, description="m in the base frame; candidates whose hand reaches deeper below it are left out (ours)"

@@ -185,6 +185,12 @@ def generator_loss(network: FFHGenerator, bps: Tensor, palms: Palms, z: Tensor) 
     return torch.stack(list(terms.values())).sum(), {k: float(v.detach()) for k, v in terms.items()}
 
 
+def evaluator_loss(network: FFHEvaluator, bps: Tensor, palms: Palms, label: Tensor) -> tuple[Tensor, dict[str, float]]:
+    """The published loss for label (n,), and the cross entropy in it."""
+    loss = functional.binary_cross_entropy_with_logits(network.logits(bps, palms, DROPOUT), label)
+    return 10 * loss, {"BCE": float(loss.detach())}
+
+
 def new_network(kind: Kind, settings: Settings) -> FFHGenerator | FFHEvaluator:
     """With weights drawn from the seed."""
     torch.manual_seed(settings.seed)
@@ -212,9 +218,7 @@ def train(
         if isinstance(network, FFHGenerator):
             bps, palms, _ = batch_of(objects, settings.batch, {"held": 1.0}, rng)
             return generator_loss(network, bps, palms, torch.randn(settings.batch, 5))
-        bps, palms, label = batch_of(objects, settings.batch, SHARES, rng)
-        loss = 10 * functional.binary_cross_entropy_with_logits(network.logits(bps, palms, DROPOUT), label)
-        return loss, {"BCE": float(loss.detach()) / 10}
+        return evaluator_loss(network, *batch_of(objects, settings.batch, SHARES, rng))
 
     rates = settings.learning_rate, settings.weight_decay
     optimise(network, loss_of, steps, rates, {"kind": kind, **asdict(settings)}, checkpoint, progress)
@@ -241,9 +245,7 @@ def tune(
     def loss_of(step: int) -> tuple[Tensor, dict[str, float]]:
         rng = generator(settings.seed, "tune", step)
         torch.manual_seed(int(rng.integers(2**31)))
-        bps, palms, label = batch_of(objects, settings.batch, TUNE_SHARES, rng)
-        loss = 10 * functional.binary_cross_entropy_with_logits(network.logits(bps, palms, DROPOUT), label)
-        return loss, {"BCE": float(loss.detach()) / 10}
+        return evaluator_loss(network, *batch_of(objects, settings.batch, TUNE_SHARES, rng))
 
     about = {"tuned": True, "joints": network.joints, **asdict(settings)}
     optimise(network, loss_of, settings.tune_steps, (settings.tune_rate, 0.0), about, checkpoint, progress)
