@@ -12,7 +12,7 @@ import argparse
 import json
 import time
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,29 +21,39 @@ import mujoco
 import numpy as np
 from dgeval.config import VerdictConfig
 from dgeval.determinism import generator, limit_threads
-from dgeval.geometry import invert
+from dgeval.geometry import Array, increment, invert
 from dgeval.hindsight import blind_gap
 from dgeval.physics.closing import CONTROL_S
-from dgeval.physics.gripper import FIVE_FINGERS
+from dgeval.physics.gripper import JAW
 from dgeval.physics.hand import ACTUATED
 from dgeval.physics.objects import surface_points
 from dgeval.report.statistics import calibration_error, confusion, macro_f1, wilson
-from dgeval.simulation.campaign import Campaign, grasps_of, plan_of, world_of
+from dgeval.simulation.blame import blame
+from dgeval.simulation.campaign import Campaign, grasps_of, plan_of, simulate, world_of
 from dgeval.simulation.perception import ModelledPerception
-from dgeval.simulation.record import EFFORT_NOISE
-from dgeval.simulation.scenario import load_scenario
+from dgeval.simulation.record import EFFORT_NOISE, JOINT_NOISE
+from dgeval.simulation.scenario import Plan, load_scenario
 from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, matrix_of, twin_path
-from dgeval.taxonomy import Thresholds
-from dgeval.verdict.causes import CLASSES, cause_of
-from dgeval.verdict.evidence import APPROACH_S, PERIOD_NS, HandMotion, Scene
-from dgeval.verdict.outcome import LAST_S, grip
+from dgeval.taxonomy import HANDED_OVER, Thresholds
+from dgeval.verdict.blame import blame_of
+from dgeval.verdict.causes import CLASSES, Cause, cause_of
+from dgeval.verdict.evidence import APPROACH_S, CLOSING, PERIOD_NS, HandMotion, Scene, of_hand
+from dgeval.verdict.outcome import LAST_S, between_jaws, grip
 
 from benchmarks.result import RESULTS, write
 
 AWAY_M, JUMP_M = 0.015, 0.010  # m, of the baseline on the causal pass; not fitted to anything
 PLACE_M, TURN_DEG, SIGHTING_M, CLOUD_M, VELOCITY = 0.002, 2.0, 0.001, 0.0012, 0.001
+MIN_TICKS = 20  # of a trial that began; a jaw gripper without a seed in reach stops at once
+# the part of the robot that each injected fault is an error of
+PART_OF = {
+    "hand_eye": "tracking", "registration_bias": "tracking", "tracker_drift": "tracking", "velocity_bias": "velocity",
+    "latency": "velocity", "grasp_offset": "synthesis", "descent": "servo", "evaluator_bias": "execution",
+    "close_shift": "execution",
+}  # fmt: skip
+HIDDEN_M = 0.02  # m; of what someone hands over, the lower end is in their hand
 VARIANTS = {
     "as simulated": {},
     "friction x 0.7": {"friction": 0.7},
@@ -76,35 +86,50 @@ def change(world: World, variant: dict[str, float]) -> None:
 
 
 def scene_from(run: Run, world: World, seed: int) -> Scene:
-    """What hindsight would have made of a recording of this run."""
+    """What hindsight would have made of a recording of this run, through the camera as it was calibrated."""
     rng = generator(seed, "modelled hindsight", run.plan.index)
     plan = run.plan
     end = run.close if run.close is not None else len(run.ticks) - 1
-    path = twin_path(world.thing, plan.speed, plan.x, plan.y, plan.yaw, len(run.ticks) * CONTROL_S + 1)
-    fingers = np.array([world.model.joint(name).qposadr[0] for name in ACTUATED])
+    path = twin_path(world.thing, plan.speed, plan.x, plan.y, plan.yaw, len(run.ticks) * CONTROL_S + 1, world.setting)
+    held = world.presenter is not None
+    flat = np.array([1.0, 1.0, float(held)])  # of what stands, motion and places are known to be level
+    drives = world.gripper.drives
+    fingers = np.array([world.model.joint(name).qposadr[0] for name in drives])
     begin = max(0, end - round(APPROACH_S / CONTROL_S))
-    hands, joints, objects = [], [], []
+    T_hand_camera = world.gripper.T_hand_camera
+    wrong_camera = T_hand_camera @ invert(T_hand_camera @ increment(np.array(plan.faults.hand_eye)))
+    hands, joints, objects, through, closing = [], [], [], [], []
     for k in range(begin, end + 1):
         world.restore(run.ticks[k].snapshot)
         hands.append(world.T_base_hand())
-        joints.append(world.data.qpos[fingers] + rng.normal(0, 1e-4, 15))
+        through.append(hands[-1] @ wrong_camera @ invert(hands[-1]))  # where things are -> where they are seen
+        joints.append(world.data.qpos[fingers] + rng.normal(0, JOINT_NOISE, len(drives)))
         objects.append(world.T_base_object())
+    # what the object stands on is seen through the same camera: in its frame it is the hand that is elsewhere
+    T_true_seen = invert(through[-1])
+    hands = [T_true_seen @ T for T in hands]
+    through = [T_true_seen @ T for T in through]
+    objects = [D @ T for D, T in zip(through, objects, strict=True)]
+    for tick in run.ticks[end + 1 : end + 1 + CLOSING] if run.close is not None else []:
+        world.restore(tick.snapshot)
+        closing.append(world.data.qpos[fingers] + rng.normal(0, JOINT_NOISE, len(drives)))
     T_end = matrix_of(path[end, :7])
     accepted = [f.tick for f in run.frames if f.accepted and begin <= f.tick <= end]
     last = accepted[-1] if accepted else end
     # where the object is: an error of the place that all sightings share, and of the velocity from the last of them on
-    wrong = rng.normal(0, VELOCITY, 3) * [1, 1, 0]
+    wrong = rng.normal(0, VELOCITY, 3) * flat
     place = rng.normal(0, PLACE_M, 3) * [1, 1, 0.5]
-    velocity = path[end, 7:10] * [1, 1, 0] + wrong
+    velocity = path[end, 7:10] * flat + wrong
     drift = wrong * (end - last) * CONTROL_S
     # what it looks like: a cloud that is turned a little about its own middle
     turn = np.radians(rng.normal(0, TURN_DEG))
     R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     points = surface_points(world.thing, 1500, rng) @ (R @ T_end[:3, :3]).T + T_end[:3, 3]
-    points = points[points[:, 2] > 0.006]
+    points = points[points[:, 2] > (T_end[2, 3] - world.thing.extent()[2] / 2 + HIDDEN_M if held else 0.006)]
     points = points + rng.normal(0, CLOUD_M, points.shape)
     points += place + drift
-    free = (path[begin : end + 1, :3] - path[end, :3]) * [1, 1, 0]
+    places = np.array([(T @ np.append(p, 1.0))[:3] for T, p in zip(through, path[begin : end + 1, :3], strict=True)])
+    free = (places - T_end[:3, 3]) * flat
     free[: last - begin + 1] -= drift
     free[last - begin + 1 :] += wrong * (np.arange(last + 1, end + 1)[:, None] - end) * CONTROL_S
     seen = np.full((end + 1 - begin, 4, 4), np.nan)
@@ -116,25 +141,62 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     motion = HandMotion(
         np.arange(begin, end + 1, dtype=np.int64) * PERIOD_NS, np.array(hands), np.array(joints),
         np.array([run.ticks[k].velocity for k in range(begin, end + 1)]),
+        of_hand(run.ticks[end].twist, hands[-1], world.gripper.T_hand_palm), np.array(closing).reshape(-1, len(drives)),
     )  # fmt: skip
     gap = (end - last) * CONTROL_S
+    errors = palm_errors(run, hands[-1] @ world.gripper.T_hand_palm, objects, T_true_seen, begin, velocity, rng)
     return Scene(
         motion, points, free, velocity, float(np.hypot(PLACE_M, VELOCITY * gap)), TURN_DEG,
-        None if run.close is None else end - begin, seen, FIVE_FINGERS,
+        None if run.close is None else end - begin, seen, world.gripper, errors, held,
     )  # fmt: skip
+
+
+def palm_errors(
+    run: Run,
+    T_base_palm: Array,
+    seen: list[Array],
+    T_true_seen: Array,
+    begin: int,
+    velocity: Array,
+    rng: np.random.Generator,
+) -> dict[str, Array] | str:
+    """As `dgeval.verdict.beliefs` finds them in a recording. seen: T_base_object by tick from `begin`, as hindsight sees it.
+
+    T_true_seen: from the base frame into that in which palm and `seen` are given.
+    """
+    if run.close is None:
+        return "it never closed: there is no decisive instant"
+    before = [f for f in run.frames if begin <= f.tick <= run.close]
+    own = [f for f in before if f.accepted]
+    grasps = [(f.tick, T) for f in before if (T := run.ticks[f.tick].T_base_grasp) is not None]
+    if not own or not grasps or own[-1].velocity is None:
+        return "beliefs not recorded"
+    tick, grasp = grasps[-1]
+    believed = before[-1].velocity if before[-1].velocity is not None else own[-1].velocity
+    assert own[-1].T_base_object is not None
+    grasp = T_true_seen @ grasp
+    off = (T_true_seen @ own[-1].T_base_object)[:3, 3] - seen[own[-1].tick - begin][:3, 3]
+    return {
+        "servo": T_base_palm[:3, 3] - grasp[:3, 3] - believed * (run.close - tick) * CONTROL_S,
+        "tracking": off + rng.normal(0, PLACE_M, 3) * [1, 1, 0.5],
+        "velocity": (believed - velocity) * (run.close - own[-1].tick) * CONTROL_S,
+    }
 
 
 def outcome(run: Run, world: World, seed: int) -> str:
-    """What the fingers' efforts say, as the recording would hold them: success, failure."""
+    """What the fingers' efforts, or the gap between the jaws, say, as the recording would hold them: success, failure."""
     if run.close is None:
         return "failure"
-    dofs = np.array([world.model.joint(n).dofadr[0] for n in ACTUATED if not n.endswith("_0")])
+    jaws = world.gripper is JAW
+    names = JAW.joints if jaws else [n for n in ACTUATED if not n.endswith("_0")]
+    at = np.array([world.model.joint(n).qposadr[0] if jaws else world.model.joint(n).dofadr[0] for n in names])
     rng = generator(seed, "efforts", run.plan.index)
     rows = []
     for tick in run.ticks[-round(LAST_S / CONTROL_S) :]:
         world.restore(tick.snapshot)
-        rows.append(world.data.qfrc_actuator[dofs] + rng.normal(0, EFFORT_NOISE, len(dofs)))
-    return "success" if grip(np.array(rows))[0] else "failure"
+        noise = rng.normal(0, JOINT_NOISE if jaws else EFFORT_NOISE, len(at))
+        rows.append((world.data.qpos if jaws else world.data.qfrc_actuator)[at] + noise)
+    return "success" if (between_jaws if jaws else grip)(np.array(rows))[0] else "failure"
 
 
 def causal_guess(run: Run, world: World) -> str:
@@ -154,48 +216,96 @@ def causal_guess(run: Run, world: World) -> str:
     return "timing" if away > AWAY_M else "imprecise_pose"
 
 
-def judge(job: tuple[str, int, int, str, int, tuple[str, ...]]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Job:
+    """One trial to judge. unrefined: the jaw gripper takes the seed as it is, which fails more often."""
+
+    scenario: str
+    seed: int
+    index: int
+    variant: str
+    draws: int
+    methods: tuple[str, ...]
+    blame: bool
+    unrefined: bool
+
+
+def judge(job: Job) -> dict[str, Any]:
     """One trial: truth, and what each instrument says of it if it failed."""
     limit_threads()
-    name, seed, index, variant, draws, methods = job
-    campaign = Campaign(load_scenario(name).model_copy(update={"choose": None}), seed, 1, Path("unused"))
-    plan = plan_of(campaign, index)
-    about = VARIANTS[variant]
-    world = world_of(campaign, plan)
-    change(world, about)
-    run = run_trial(
-        plan, campaign.scenario, world, grasps_of(campaign, plan), ModelledPerception(campaign.scenario, plan, world)
-    )
+    scenario = load_scenario(job.scenario).model_copy(update={"choose": None})
+    if job.unrefined:
+        vfas = scenario.pipeline.vfas.model_copy(update={"refine": False})
+        scenario = scenario.model_copy(update={"pipeline": scenario.pipeline.model_copy(update={"vfas": vfas})})
+    campaign = Campaign(scenario, job.seed, 1, Path("unused"))
+    plan = plan_of(campaign, job.index)
+    about = VARIANTS[job.variant]
+    if scenario.vfas:
+        run, world = simulate(campaign, plan)
+    else:
+        world = world_of(campaign, plan)
+        change(world, about)
+        perceiver = ModelledPerception(scenario, plan, world)
+        run = run_trial(plan, scenario, world, grasps_of(campaign, plan), perceiver)
     succeeded = run.finish is not None and run.finish.success
     sighted = [f.tick * PERIOD_NS for f in run.frames if f.accepted]
     gap, sided = blind_gap(sighted, None if run.close is None else run.close * PERIOD_NS)
     out: dict[str, Any] = {
-        "scenario": name, "id": plan.id, "seed": seed, "index": index, "variant": variant,
-        "object": plan.object, "speed": plan.speed,
-        "outcome": "success" if succeeded else "failure", "outcome_said": outcome(run, world, seed),
-        "gap_s": gap, "gap_sided": sided,
+        "scenario": job.scenario, "id": plan.id, "seed": job.seed, "index": job.index, "variant": job.variant,
+        "object": plan.object, "speed": plan.nominal_speed, "closed": run.close is not None,
+        "outcome": "success" if succeeded else "failure", "outcome_said": outcome(run, world, job.seed),
+        "gap_s": gap, "gap_sided": sided, "present": plan.faults.present(),
     }  # fmt: skip
-    if succeeded:
+    if succeeded or len(run.ticks) < MIN_TICKS:
         return out
     scale = about.get("labels", 1.0)
-    th = Thresholds()
+    th = HANDED_OVER if world.presenter is not None else Thresholds()
     truth = prove(
         run, world, Thresholds(th.moved_m * scale, th.moved_deg * scale, th.overlap_m * scale, 2, th.unstable_m * scale)
     )
     out.update(
         truth=truth.failure_class, sub=truth.sub_cause, shift_s=truth.shift_s, near=list(truth.near), curve=truth.curve,
-        faults=asdict(plan.faults), causal=causal_guess(run, world),
+        faults=asdict(plan.faults), causal=causal_guess(run, world), pose_error_m=truth.pose_error_m,
     )  # fmt: skip
-    scene = scene_from(run, world, seed)
-    for method in methods:
+    if job.blame:
+        out["blame"] = blame(plan, lambda p: _succeeds(campaign, p))
+    scene = scene_from(run, world, job.seed)
+    for method in job.methods:
         start = time.process_time()
-        cause = cause_of(scene, method, draws, 0, VerdictConfig().least, Thresholds())
+        try:
+            cause = cause_of(scene, method, job.draws, 0, VerdictConfig().least)
+        except ValueError as error:  # as `dgeval.verdict.judge` has it
+            cause = Cause("unknown", (0.0, 0.0, 0.0, 1.0), None, None, (), 0.0, method, str(error))
+        blamed = blame_of(cause, scene.errors)
         out[method] = {
             "class": cause.failure_class, "p": cause.probabilities, "sub": cause.sub_cause, "shift_s": cause.shift_s,
             "reproduced": cause.reproduced, "seconds": time.process_time() - start,
-            "draws": [(s.verdict.failure_class, s.reproduced) for s in cause.samples],
+            "draws": [(s.verdict.failure_class, s.reproduced, s.weight) for s in cause.samples],
+            "why": cause.why_unknown, "blame": blamed.term, "blame_why": blamed.why_unknown, "errors": blamed.sizes,
         }  # fmt: skip
     return out
+
+
+def _succeeds(campaign: Campaign, plan: Plan) -> bool:
+    finish = simulate(campaign, plan)[0].finish
+    return finish is not None and finish.success
+
+
+def blame_table(rows: list[dict[str, Any]], method: str) -> str:
+    """The part blamed beside the one fault whose removal restores success, of failures that have such a fault."""
+    known = [r for r in rows if r.get("blame") and r["blame"]["fault"] in PART_OF]
+    terms = [*dict.fromkeys(PART_OF.values()), "unknown"]
+    faults = [f for f in PART_OF if any(r["blame"]["fault"] == f for r in known)]
+    lines = ["| fault \\ blamed | " + " | ".join(terms) + " | right |", "|---|" + "---|" * (len(terms) + 1)]
+    for fault in faults:
+        said = [r[method]["blame"] for r in known if r["blame"]["fault"] == fault]
+        right = said.count(PART_OF[fault])
+        lines.append(f"| {fault} | " + " | ".join(str(said.count(t)) for t in terms) + f" | {right}/{len(said)} |")
+    named = [r for r in known if r[method]["blame"] != "unknown"]
+    right = sum(r[method]["blame"] == PART_OF[r["blame"]["fault"]] for r in named)
+    share = wilson(right, len(named))
+    about = f"{len(known)} failures with one such fault; a part is named in {len(named)}, rightly in {right}"
+    return "\n".join([*lines, "", f"{about} ({right / max(len(named), 1):.0%}) [{share[0]:.0%}, {share[1]:.0%}]."])
 
 
 def scores(rows: list[dict[str, Any]], said: list[str]) -> str:
@@ -211,7 +321,7 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
     ended = sum(r["outcome_said"] == r["outcome"] for r in rows)
     low, high = wilson(ended, len(rows))
     lines = [f"Outcome without labels: {ended} of {len(rows)} right ({ended / len(rows):.1%}) [{low:.1%}, {high:.1%}]"]
-    failed = [r for r in rows if r["outcome"] == "failure"]
+    failed = [r for r in rows if "truth" in r]
     head = ["| instrument | failures | right | unknown | macro-F1 |", "|---|---|---|---|---|"]
     lines += ["", *head]
     for method in methods:
@@ -220,6 +330,9 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
             ", clear": [r for r in failed if not r["near"]],
             ", near a threshold": [r for r in failed if r["near"]],
         }
+        wrong_camera = [r for r in failed if "hand_eye" in r["present"]]
+        if wrong_camera:
+            parts |= {", hand-eye as calibrated": [r for r in failed if r not in wrong_camera], ", hand-eye off": wrong_camera}
         parts |= {f", gap {s}": [r for r in failed if r["gap_sided"] == s] for s in ("none", "one", "two")}
         for name, part in parts.items():
             if part:
@@ -250,6 +363,8 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
         about += [f"of the right ones the sub-cause is right in {same} of {len(hits)}"]
         if timed := [abs(r[method]["shift_s"] - r["shift_s"]) for r in hits if r["truth"] == "timing"]:
             about += [f"the close time is off by a median of {np.median(timed):.2f} s (90 %: {np.quantile(timed, 0.9):.2f} s)"]
+        if any(r.get("blame") for r in failed):
+            lines += ["", blame_table(failed, method)]
         lines += ["", "; ".join([*about, f"CPU time {seconds[0]:.1f} s (95 %: {seconds[1]:.1f} s)."])]
     return "\n".join(lines)
 
@@ -262,6 +377,8 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=VerdictConfig().draws)
     parser.add_argument("--variant", action="append", choices=list(VARIANTS))
     parser.add_argument("--method", action="append", choices=["twin", "geometry"])
+    parser.add_argument("--blame", action="store_true", help="also find the fault whose removal restores success, and score")
+    parser.add_argument("--unrefined", action="store_true", help="VFAS-Grasp's scenarios with the seed executed as it is")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--tables", action="store_true", help="only print the tables of an earlier run's rows again")
     parser.add_argument("--out", type=Path, default=RESULTS / "verdict.md", help="with a .jsonl of all rows beside it")
@@ -272,7 +389,7 @@ def main() -> None:
     methods = tuple(m for m in methods if not rows or any(m in r for r in rows))
     if not options.tables:
         jobs = [
-            (options.scenario, options.seed, k, variant, options.draws, methods)
+            Job(options.scenario, options.seed, k, variant, options.draws, methods, options.blame, options.unrefined)
             for variant in options.variant or ["as simulated"]
             for k in range(options.trials)
         ]
@@ -285,6 +402,7 @@ def main() -> None:
     parts = [f"## {v}\n\n{tables([r for r in rows if r['variant'] == v], methods)}" for v in ran]
     command = f"python -m benchmarks.verdict --scenario {rows[0].get('scenario', 'failures')} --seed {rows[0]['seed']}"
     command += f" --trials {len(rows) // len(ran)} --draws {options.draws}"
+    command += "".join(f" --{flag}" for flag in ("blame", "unrefined") if getattr(options, flag))
     title = "Verdicts on simulated failures that set nothing"
     print(write(options.out.stem, title, command, parts, options.out.parent).read_text(encoding="utf-8"))
 

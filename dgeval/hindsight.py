@@ -8,6 +8,7 @@ sightings say what it really did. Nothing here reads the truth or the robot's be
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
 from dataclasses import dataclass
 from typing import Literal
 
@@ -36,6 +37,7 @@ FIRST_S = 0.5  # from which the path is begun
 OFF_PATH_M, OFF_PATH_RAD, OFF_PATH_COUNT = 0.006, 0.12, 3  # sightings in a row this far off the path so far
 PUSHING_M = 0.030  # m; hand to the sighted object, when it leaves its path
 MIN_COLOUR = 12  # features
+CARRIED_S, APART_M = 1.0, 0.01  # a sighting is a prior for so long, where it is so far from the others
 RISEN_M, HELD_M = 0.05, 0.015  # the palm off its place at the close; the object off its place in the palm
 
 
@@ -164,13 +166,12 @@ def look_back(trial: Trial, seen: list[Seen], surface: Surface, perception: Perc
         for s in seen
         if attempt and s.t_ns not in known and -WINDOW_BEFORE_S <= (s.t_ns - end_ns) * 1e-9 <= WINDOW_AFTER_S
     }
-    found = [
-        sighting
-        for frame in (trial.frames() if wanted else ())
-        if frame.index in wanted
-        and (sighting := _look(frame, wanted[frame.index], tracker, model, path, trial, end_ns, config)) is not None
-    ]
-    sightings = sorted([*sightings, *found], key=lambda s: s.t_ns)
+    for frame in trial.frames() if wanted else ():
+        if frame.index in wanted:
+            priors = _priors(frame.t_ns, path, sightings, trial, end_ns)
+            sighting = _look(frame, wanted[frame.index], tracker, model, priors, config)
+            if sighting is not None:
+                insort(sightings, sighting, key=lambda s: s.t_ns)
     path, pushed_ns = _free_path(trial, sightings, model, centroid, end_ns)
     moments = _moments(trial, seen, path, sightings, model, pushed_ns, end_ns) if attempt else ()
     contact = next((m for m in moments if m.t_ns <= end_ns and m.distance is not None and m.distance < CONTACT_M), None)
@@ -330,14 +331,27 @@ def _in_hand(trial: Trial, sightings: list[Sighting], end_ns: int) -> tuple[int,
     return with_it[0], typical
 
 
+def _priors(t_ns: int, path: Path, sightings: list[Sighting], trial: Trial, end_ns: int) -> list[Array]:
+    """Where the model may be at a time, T_base_model: on its path; in the hand, after the close; where it was seen last
+    (forward) or will be seen next (backward), as after a push, moved with what it stands on."""
+    out = [path.at(t_ns)]
+    palm, palm_then = trial.robot.T_base_palm(t_ns), trial.robot.T_base_palm(end_ns)
+    if t_ns > end_ns and palm is not None and palm_then is not None:
+        out.append(palm @ invert(palm_then) @ path.at(end_ns))
+    at = bisect_left(sightings, t_ns, key=lambda s: s.t_ns)
+    centre = np.append(path.centroid, 1.0)
+    for s in (*sightings[max(at - 1, 0) : at], *sightings[at : at + 1]):
+        T = s.T_base_model.copy()
+        T[:3, 3] += path.velocity[-1] * (t_ns - s.t_ns) * 1e-9
+        if abs(t_ns - s.t_ns) * 1e-9 < CARRIED_S and all(np.linalg.norm((T - P) @ centre) > APART_M for P in out):
+            out.append(T)
+    return out
+
+
 def _look(
-    frame: Frame, seen: Seen, tracker: ModelTracker, model: Model, path: Path, trial: Trial, end_ns: int, config: Config
+    frame: Frame, seen: Seen, tracker: ModelTracker, model: Model, priors: list[Array], config: Config
 ) -> Sighting | None:
     """The model in one frame, from each place it may be at; depth needs the gate's fitness, colour enough features."""
-    priors = [path.at(frame.t_ns)]
-    palm, palm_then = trial.robot.T_base_palm(frame.t_ns), trial.robot.T_base_palm(end_ns)
-    if frame.t_ns > end_ns and palm is not None and palm_then is not None:
-        priors.append(palm @ invert(palm_then) @ path.at(end_ns))
     T_camera_base = invert(seen.T_base_camera)
     for prior in priors:
         tracked = tracker.look(frame, model, T_camera_base @ prior)

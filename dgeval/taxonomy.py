@@ -33,6 +33,10 @@ class Thresholds:
         return Thresholds(**values)
 
 
+# who holds something gives way a little (SIMULATION section 5)
+HANDED_OVER = Thresholds(moved_m=0.012)
+
+
 @dataclass(frozen=True)
 class Facts:
     """What is known of a failed grasp. None: not found out yet; only `put_back` and `free_pose` may be.

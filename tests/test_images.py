@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from dgeval.recording.images import colour_from, decode_image, depth_from
+from dgeval.recording.messages import cloud_points
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -97,3 +98,31 @@ def test_colour_and_depth_are_not_mistaken_for_each_other() -> None:
         colour_from(decode_image(raw(DEPTH, "16UC1")))
     with pytest.raises(ValueError, match="not a depth"):
         depth_from(decode_image(raw(np.zeros((2, 2, 3), np.uint8), "rgb8")), None)
+
+
+@pytest.mark.parametrize(("kind", "datatype"), [("f4", 7), ("f8", 8)])
+@pytest.mark.parametrize("big", [False, True])
+def test_clouds_of_any_layout_give_their_points(kind: str, datatype: int, big: bool) -> None:
+    """Catches: fields read by order instead of offset, padding read as a coordinate, endianness, NaN for what was not seen."""
+    points = RNG.normal(size=(6, 3)).astype(kind)
+    points[2] = np.nan
+    size = np.dtype(kind).itemsize
+    step = 4 + 3 * size + 8
+    layout = {
+        "names": ["z", "x", "y"],
+        "formats": [(">" if big else "<") + kind] * 3,
+        "offsets": [4 + size * k for k in range(3)],
+    }
+    rows = np.zeros(6, np.dtype({**layout, "itemsize": step}))
+    for k, name in enumerate("xyz"):
+        rows[name] = points[:, k]
+    fields = [SimpleNamespace(name=n, offset=o, datatype=datatype) for n, o in zip("zxy", layout["offsets"], strict=True)]
+    data = np.frombuffer(rows.tobytes(), np.uint8)
+    cloud = SimpleNamespace(fields=fields, is_bigendian=big, point_step=step, width=3, height=2, data=data)
+    np.testing.assert_array_equal(cloud_points(cloud), np.delete(points, 2, axis=0).astype(np.float64))
+    cloud.data = data[:-step]
+    with pytest.raises(ValueError, match="6 points"):
+        cloud_points(cloud)
+    cloud.fields = fields[:2]
+    with pytest.raises(ValueError, match="x, y, z"):
+        cloud_points(cloud)

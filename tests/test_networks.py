@@ -26,11 +26,13 @@ from dgeval.simulation.perception import Sight, T_hand_camera
 from dgeval.simulation.proposals import FFHNetGrasps
 from dgeval.simulation.scenario import load_scenario
 from dgeval.stages.execution import execute
-from dgeval.stages.grasping import encode_cloud, evaluate, networks_of, propose
+from dgeval.stages.grasping import encode_cloud, evaluate, free_of, networks_of, propose
+from dgeval.stages.hand_overlap import standing_points
 from dgeval.stages.reachability import arm_of
 from dgeval.training.ship import export
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
@@ -277,6 +279,35 @@ def test_grasps_go_along_with_the_cloud_and_repeat() -> None:
     # the score of a candidate's own pose is the candidate's score
     encoded = encode_cloud(cloud, networks)
     np.testing.assert_allclose(evaluate(encoded, networks, here.T_cloud_palm, here.joints), here.scores, atol=1e-5)
+
+
+def test_the_far_side_of_what_stands_is_not_free() -> None:
+    """Catches a hand in the part of an object that the camera never saw, and the plane's side taken wrongly."""
+    rng = np.random.default_rng(0)
+    top = np.column_stack([rng.uniform(-0.05, 0.05, (800, 2)), np.full(800, 0.10)])  # a block 10 cm high, seen from above
+    normal, offset = np.array([0.0, 0.0, 1.0]), 0.0
+    under = standing_points(top, normal, offset)
+    assert under[:, 2].min() > 0.0
+    assert under[:, 2].max() < 0.10
+    assert np.abs(under[:, :2]).max() < 0.06
+    # as deep as it is wide: nothing of the block is farther than some 12 mm from one of its points
+    inside = rng.uniform([-0.045, -0.045, 0.01], [0.045, 0.045, 0.08], (200, 3))
+    assert cKDTree(under).query(inside)[0].max() < 0.012
+    turned = Rotation.from_euler("xyz", [0.4, -0.3, 1.0]).as_matrix()
+    again = standing_points(top @ turned.T + 0.3, turned @ normal, offset + 0.3 * float((turned @ normal).sum()))
+    height = (again - 0.3) @ turned @ normal
+    assert height.min() > 0.0
+    assert height.max() < 0.10
+    networks = networks_of(GraspsConfig())
+    cloud = half_shell()
+    drawn = propose(encode_cloud(cloud, networks), networks, 256, 0, 5)
+    plane = (np.array([0.0, 0.0, -1.0]), -0.52)  # z points down; the table is 12 cm below the top
+    before, after = (
+        free_of(encode_cloud(cloud, networks, support), drawn.T_cloud_palm, drawn.joints, plane, 0.004)
+        for support in (None, plane)
+    )
+    assert not (after & ~before).any()
+    assert after.sum() < before.sum()
 
 
 def test_shipped_networks_know_a_grasp_from_a_hand_in_the_air() -> None:

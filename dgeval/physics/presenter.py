@@ -12,6 +12,7 @@ from dgeval.geometry import Array
 from dgeval.physics.hand import quat_wxyz
 
 GRIP = "presenter_grip"
+GRIPPED_N, RELEASE_S = 0.3, 0.1  # two fingers pressing this hard for so long, and the presenter lets go
 TREMOR_HZ = (0.6, 1.1, 1.9, 2.7)  # of each degree of freedom; amplitudes fall with the frequency
 SKIN = (0.80, 0.62, 0.52, 1.0)
 

@@ -139,6 +139,19 @@ def least_distance(
     return float(best)
 
 
+def finger_forces(model: mujoco.MjModel, data: mujoco.MjData, names: dict[int, str], fingers: Sequence[str]) -> Array:
+    """Sum of normal contact forces on each finger, N; names: of the hand's geoms, whose first word is their finger."""
+    out = np.zeros(len(fingers))
+    force = np.zeros(6)
+    for k in range(data.ncon):
+        for g in data.contact.geom[k]:
+            finger = names.get(int(g), "").split("_")[0]
+            if finger in fingers:
+                mujoco.mj_contactForce(model, data, k, force)
+                out[fingers.index(finger)] += abs(force[0])
+    return out
+
+
 def pose_of(data: mujoco.MjData, body: str) -> Array:
     """T_base_body (4, 4)."""
     item = data.body(body)

@@ -1,47 +1,64 @@
 """A solid from a partial cloud, for physics: what stands on its support is filled down to it.
 
 A camera over a table sees tops and some sides. Beneath what it sees stands the object, so points are carried down to the
-support. Round things would become cylinders that way, so a ball is tried first; hollow ones would be closed by a hull, so
-where points lie deep inside the hull the solid is made of columns.
+support. Round things would become cylinders that way, so a ball is tried first, then a box, whose edges a hull would round;
+hollow things would be closed by a hull, so where points lie deep inside the hull it is a round vessel, or made of columns.
 """
 
 from __future__ import annotations
 
+import contextlib
+
+import cv2
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from dgeval.geometry import Array
-from dgeval.physics.objects import ObjectModel, Part, at
+from dgeval.physics.objects import ObjectModel, Part, at, vessel
 from dgeval.physics.texture import Look
 
 LOOK = Look("mottled", (150, 150, 150))
 DENSITY = 350.0  # kg/m^3, of the household objects in SIMULATION section 7 (70 to 900); unknown from a log
 MASS_RANGE = (0.03, 0.60)  # kg
 BALL_RMS, BALL_SHARE = 0.002, 0.9  # m; residual of the best sphere, and share of points within three times that
+BOX_OFF, FACE_POINTS = 0.0016, 12  # m; mean distance from the faces of the best upright box; points that place a face
+RIM, RIM_OFF, WALL, OUTSIDE = 0.012, 0.005, 0.004, 0.007  # m; of vessels: the band that is fitted, how far from a circle
 SMOOTHED = 0.010  # m; neighbourhood of a plane: 1.2 mm of noise, as hindsight has it, leaves hulls 0.5 to 1 mm too large
 CELL, LIKE_HEIGHT = 0.007, 0.008  # m; columns of hollow things, and heights that one column may stand for
 HOLLOW_DEPTH, HOLLOW_SHARE = 0.010, 0.12  # m under the hull's top; share of the footprint's cells that are lower
 
 
-def solid_from_cloud(points: Array, name: str = "cloud") -> tuple[ObjectModel, Array]:
+def solid_from_cloud(points: Array, name: str = "cloud", held: bool = False) -> tuple[ObjectModel, Array]:
     """Model and centre (3,) from points (n, 3) m in a frame with z up from the support's surface (z = 0).
 
     The model's frame has these axes and its origin at the centre, which is over the support by the model's rest height.
-    ValueError where the points span no volume.
+    ValueError where the points span no volume. held: nothing is known of what is below the lowest of them, they are not
+    carried down further.
     """
     inliers = _without_strays(points)
+    if held:
+        low = np.array([0.0, 0.0, float(inliers[:, 2].min())])
+        model, centre = solid_from_cloud(points - low, name)
+        return model, centre + low
     ball = _ball(inliers)
     if ball is not None:
         centre, radius = ball
         mass = _mass(4 / 3 * np.pi * radius**3)
         centre = np.array([centre[0], centre[1], radius])  # it stands on its support
         return ObjectModel(name, mass, (Part("sphere", np.eye(4), (radius,)),), LOOK, rolls=True), centre
+    box = _box(inliers)
+    if box is not None:
+        T, half = box
+        return ObjectModel(name, _mass(float(8 * np.prod(half))), (Part("box", _turned(T), tuple(half.tolist())),), LOOK), T[
+            :3, 3
+        ]
     inliers = _smoothed(inliers)
-    parts = _columns(inliers) or (_hull(inliers),)
+    parts = _columns(inliers)
+    parts = (_vessel(inliers) or parts) if parts else (_hull(inliers),)
     low = np.min([_corner(p, -1) for p in parts], axis=0)
     high = np.max([_corner(p, 1) for p in parts], axis=0)
     centre = (low + high) / 2
-    moved = tuple(Part(p.kind, at(*(p.T_object_part[:3, 3] - centre)), p.size, p.vertices) for p in parts)
+    moved = tuple(Part(p.kind, at(*-centre) @ p.T_object_part, p.size, p.vertices) for p in parts)
     return ObjectModel(name, _mass(sum(p.volume() for p in moved)), moved, LOOK), centre
 
 
@@ -89,6 +106,46 @@ def _ball(points: Array) -> tuple[Array, float] | None:
     return (x[:3], radius) if good and standing and 0.01 < radius < 0.15 else None
 
 
+def _box(points: Array) -> tuple[Array, Array] | None:
+    """T (4, 4) and half sizes (3,) of an upright box on the support that explains the points, or None.
+
+    A face lies where the middle of its points does: a hull of the same points has round edges, on which nothing is gripped.
+    """
+    best: tuple[float, float, Array, Array] | None = None
+    rectangle = np.radians(cv2.minAreaRect(points[:, :2].astype(np.float32))[2])
+    for yaw in rectangle + np.radians(np.arange(-6.0, 6.1, 1.0)):
+        c, s = np.cos(yaw), np.sin(yaw)
+        local = points @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        low, high = np.quantile(local, [0.01, 0.99], axis=0)
+        for _ in range(3):
+            faces = np.stack([local[:, 0] - low[0], high[0] - local[:, 0], local[:, 1] - low[1], high[1] - local[:, 1],
+                              high[2] - local[:, 2]])  # fmt: skip
+            nearest = np.abs(faces).argmin(axis=0)
+            for k, (side, axis) in enumerate([(low, 0), (high, 0), (low, 1), (high, 1), (high, 2)]):
+                if (nearest == k).sum() >= FACE_POINTS:
+                    side[axis] = np.median(local[nearest == k, axis])
+        cost = float(np.minimum(np.abs(faces).min(axis=0), 3 * BOX_OFF).mean())
+        if best is None or cost < best[0]:
+            best = cost, float(yaw), low, high
+    assert best is not None
+    cost, yaw, low, high = best
+    if cost > BOX_OFF or (high - low).min() < 0.01:
+        return None
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    middle, half = (low + high) / 2, (high - low) / 2
+    middle[2] = half[2] = high[2] / 2
+    T[:3, 3] = T[:3, :3] @ middle
+    return T, half
+
+
+def _turned(T: Array) -> Array:
+    """The rotation of T alone."""
+    out = T.copy()
+    out[:3, 3] = 0.0
+    return out
+
+
 def _hull(points: Array) -> Part:
     down = points.copy()
     down[:, 2] = 0.0
@@ -105,6 +162,37 @@ def _hull(points: Array) -> Part:
         ways = np.column_stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)])
         corners = corners[np.unique((corners @ ways.T).argmax(axis=0))]
     return Part("hull", np.eye(4), vertices=corners)
+
+
+def _vessel(points: Array) -> tuple[Part, ...] | None:
+    """Walls of an open round vessel, its floor, and what stands out of it (a handle) as one hull; None of other shapes."""
+    height = float(np.quantile(points[:, 2], 0.98))
+    rim = points[points[:, 2] > height - RIM]
+    for _ in range(4):  # without the handle, which lies outside
+        A = np.column_stack([2 * rim[:, :2], np.ones(len(rim))])
+        x, *_ = np.linalg.lstsq(A, (rim[:, :2] ** 2).sum(axis=1), rcond=None)
+        radius = float(np.sqrt(max(x[2] + x[:2] @ x[:2], 0.0)))
+        off = np.linalg.norm(rim[:, :2] - x[:2], axis=1) - radius
+        if (np.abs(off) < RIM_OFF).sum() < 0.6 * len(rim):
+            return None
+        if (np.abs(off) < RIM_OFF).all():
+            break
+        rim = rim[np.abs(off) < RIM_OFF]
+    if float(np.sqrt(np.mean(off**2))) > RIM_OFF / 2:
+        return None
+    r = np.linalg.norm(points[:, :2] - x[:2], axis=1)
+    wall = np.abs(r - radius) < 0.35 * radius
+    taper = float(np.clip(np.polyfit(points[wall, 2], r[wall], 1)[0], -0.3, 0.3)) if np.ptp(points[wall, 2]) > 0.02 else 0.0
+    r_bottom = radius - taper * (height - RIM / 2)
+    r_top = radius + taper * RIM / 2
+    parts = vessel("cloud", r_bottom + WALL / 2, r_top + WALL / 2, height, WALL, 1.0, LOOK).parts
+    middle = at(float(x[0]), float(x[1]), height / 2)
+    out = [Part(p.kind, middle @ p.T_object_part, p.size) for p in parts]
+    outside = points[r > r_bottom + taper * points[:, 2] + OUTSIDE]
+    if len(outside) >= FACE_POINTS:
+        with contextlib.suppress(QhullError):
+            out.append(Part("hull", np.eye(4), vertices=outside[ConvexHull(outside).vertices]))
+    return tuple(out)
 
 
 def _columns(points: Array) -> tuple[Part, ...] | None:

@@ -95,6 +95,24 @@ def camera_model(message: Any) -> CameraModel:
     return CameraModel(Intrinsics(int(message.width), int(message.height), fx, fy, cx, cy), frame, tuple(d.tolist()))
 
 
+def cloud_points(message: Any) -> Array:
+    """Finite points (n, 3) of a sensor_msgs/PointCloud2. ValueError without float x, y, z or with too few bytes."""
+    kinds = {7: "f4", 8: "f8"}
+    fields = {f.name: f for f in message.fields}
+    if any(n not in fields or fields[n].datatype not in kinds for n in "xyz"):
+        raise ValueError("a cloud without floating point x, y, z")
+    order = ">" if message.is_bigendian else "<"
+    at = {n: (order + kinds[fields[n].datatype], int(fields[n].offset)) for n in "xyz"}
+    layout = {"names": list(at), "formats": [a[0] for a in at.values()], "offsets": [a[1] for a in at.values()]}
+    kind = np.dtype({**layout, "itemsize": int(message.point_step)})  # type: ignore[call-overload]
+    data, count = np.asarray(message.data, dtype=np.uint8).tobytes(), int(message.width) * int(message.height)
+    if len(data) < count * kind.itemsize:
+        raise ValueError(f"a cloud of {count} points with {len(data)} bytes")
+    rows = np.frombuffer(data, kind, count)
+    points = np.column_stack([rows[n].astype(np.float64) for n in "xyz"])
+    return points[np.isfinite(points).all(axis=1)]
+
+
 @dataclass(frozen=True, slots=True)
 class JointSample:
     """One JointState: positions rad or m, efforts Nm or N by joint name; what no joint can have is left out."""

@@ -74,7 +74,7 @@ class Scan:
     tf: list[StampedPose] = field(default_factory=list)
     tf_static: list[StampedPose] = field(default_factory=list)
     poses: dict[str, list[StampedPose]] = field(default_factory=lambda: defaultdict(list))
-    velocities: dict[str, list[tuple[int, Array]]] = field(default_factory=lambda: defaultdict(list))
+    twists: dict[str, list[tuple[int, Array]]] = field(default_factory=lambda: defaultdict(list))
     joints: dict[str, list[JointSample]] = field(default_factory=lambda: defaultdict(list))
     scores: list[tuple[int, float]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
@@ -108,8 +108,8 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             elif topic.type == "geometry_msgs/msg/TwistStamped":
                 twist = opened.decode(message)
                 times.header_ns.append(stamp_ns(twist))
-                linear = twist.twist.linear
-                out.velocities[message.topic].append((times.header_ns[-1], np.array([linear.x, linear.y, linear.z])))
+                v, w = twist.twist.linear, twist.twist.angular
+                out.twists[message.topic].append((times.header_ns[-1], np.array([v.x, v.y, v.z, w.x, w.y, w.z])))
             elif topic.type == "sensor_msgs/msg/CameraInfo":
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
                 matrix = message.data[20:]  # after the stamp: equal bytes need no second look

@@ -93,15 +93,15 @@ class FFHNetGrasps:
         if sight.cloud is None:
             return self._last  # the model and its grasps as they were, moved along with the prediction
         R_cloud_base = self._networks.R_cloud_base(T_base_camera)  # its origin stays the base's
-        cloud = encode_cloud(sight.cloud @ R_cloud_base.T, self._networks)
+        z = self._config.support_z
+        support = None if z is None else (R_cloud_base[:, 2], z)
+        cloud = encode_cloud(sight.cloud @ R_cloud_base.T, self._networks, support)
         T_view_object = np.eye(4)
         T_view_object[:3] = R_cloud_base @ T_base_object[:3]
         again = None if kept is None else (T_view_object @ kept[0], kept[1])
         index = self._index * 100_000 + frame
         drawn = propose(cloud, self._networks, self._config.candidates, self._seed, index, again)
         poses = invert(T_view_object) @ drawn.T_cloud_palm
-        z = self._config.support_z
-        support = None if z is None else (R_cloud_base[:, 2], z)
         most = self._config.max_overlap
         self._last = Proposals(poses, drawn.joints, drawn.scores, cloud, T_view_object, most, support, drawn.kept)
         return self._last

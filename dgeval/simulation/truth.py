@@ -20,7 +20,7 @@ from dgeval.simulation.world import (
     matrix_of,
     twin_path,
 )
-from dgeval.taxonomy import Facts, FailureClass, Needs, Outcome, Thresholds, Verdict, classify
+from dgeval.taxonomy import HANDED_OVER, Facts, FailureClass, Needs, Outcome, Thresholds, Verdict, classify
 
 COARSE = 3  # times the tick, far from the real close
 FREE_STEPS_M, FREE_STEPS_DEG = (0.0025, 0.005, 0.0075, 0.010), (5.0, 10.0)
@@ -167,8 +167,7 @@ def _directions() -> list[Array]:
 def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bool = True) -> Truth:
     """Outcome, class and evidence of a run. `near`: also ask which thresholds decide by less than 20 %."""
     if thresholds is None:
-        # who holds something gives way a little: SIMULATION section 5
-        thresholds = Thresholds() if world.presenter is None else Thresholds(moved_m=0.012)
+        thresholds = Thresholds() if world.presenter is None else HANDED_OVER
     prover = Prover(run, world)
     contacts = [k for k in range(prover.end + 1) if run.ticks[k].contact]
     t_contact = contacts[0] * CONTROL_S if contacts else None

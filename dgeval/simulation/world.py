@@ -24,12 +24,11 @@ from dgeval.physics.closing import (
 from dgeval.physics.gripper import FIVE_FINGERS, Gripper
 from dgeval.physics.hand import T_hand_palm
 from dgeval.physics.objects import ObjectModel
-from dgeval.physics.presenter import GRIP
-from dgeval.physics.scene import TURNTABLE_TOP, Camera, build, least_distance, pose_of
+from dgeval.physics.presenter import GRIP, GRIPPED_N, RELEASE_S
+from dgeval.physics.scene import TURNTABLE_TOP, Camera, build, finger_forces, least_distance, pose_of
 from dgeval.simulation.setting import Setting, present
 
 HOLD_S = 1.6  # recorded after the lift
-GRIPPED_N, RELEASE_S = 0.3, 0.1  # two fingers pressing this hard for so long, and the presenter lets go
 SUCCESS_HOLD_S = 1.0  # after the lift ends (SIMULATION section 5)
 FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + HOLD_S
 
@@ -170,16 +169,8 @@ class World:
 
     def finger_forces(self) -> Array:
         """Sum of normal contact forces on each finger, N."""
-        out = np.zeros(len(self.gripper.fingers))
-        force = np.zeros(6)
         names = {g: self.model.geom(g).name for g in self.hand_geoms}
-        for k in range(self.data.ncon):
-            for g in self.data.contact.geom[k]:
-                finger = names.get(int(g), "").split("_")[0]
-                if finger in self.gripper.fingers:
-                    mujoco.mj_contactForce(self.model, self.data, k, force)
-                    out[self.gripper.fingers.index(finger)] += abs(force[0])
-        return out
+        return finger_forces(self.model, self.data, names, self.gripper.fingers)
 
     def advance(self, steps: int = SUBSTEPS) -> None:
         self.setting.drive(self.model, self.data)

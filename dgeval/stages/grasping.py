@@ -26,7 +26,7 @@ from dgeval.networks.ffhnet import (
     palms_of,
     poses_of,
 )  # fmt: skip
-from dgeval.stages.hand_overlap import depth_below, overlap
+from dgeval.stages.hand_overlap import depth_below, overlap, standing_points
 
 JOINT_LOW = np.tile([-0.261799, 0.0, 0.0], 5)  # rad, of the 15 joints (PAPERS 1.4)
 JOINT_HIGH = np.tile([0.261799, 1.48353, 1.13446], 5)
@@ -61,7 +61,7 @@ class Networks:
 class EncodedCloud:
     """What the networks see of a cloud: bps (1, n) of it about its mean (3,) m, in the axes it was given in.
 
-    points: some of it (m, 3), to look for overlaps of hand and object.
+    points: some of it (m, 3), and of what stands under it, to look for overlaps of hand and object.
     """
 
     bps: torch.Tensor
@@ -100,11 +100,12 @@ def _load(generator_file: str | None, evaluator_file: str | None) -> Networks:
     return networks
 
 
-def encode_cloud(points: Array, networks: Networks) -> EncodedCloud:
-    """points (m, 3) m with the axes that the networks learned."""
+def encode_cloud(points: Array, networks: Networks, support: tuple[Array, float] | None = None) -> EncodedCloud:
+    """points (m, 3) m with the axes that the networks learned; support: normal and offset of the plane they stand on."""
     mean = points.mean(axis=0)
     bps = torch.from_numpy(encode(points - mean, basis(networks.n_bps)))[None]
-    return EncodedCloud(bps, mean, points[:: -(-len(points) // OVERLAP_POINTS)])
+    some = points[:: -(-len(points) // OVERLAP_POINTS)]
+    return EncodedCloud(bps, mean, some if support is None else np.concatenate([some, standing_points(points, *support)]))
 
 
 def draw(bps: torch.Tensor, network: FFHGenerator, n: int, seed: int, stage: str, frame: int) -> tuple[Array, Array]:

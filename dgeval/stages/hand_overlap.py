@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from dgeval.geometry import Array, invert
 from dgeval.physics.hand import CHAIN, FINGER_MOUNTS, FINGERS, PALM_BOXES, RADIUS, T_hand_palm, capsule_ends, pose
 
+COLUMN, LEVEL = 0.009, 0.014  # m; of the points put under what was seen: across, and from one to the next below it
+
 
 def finger_axes(joints: Array) -> Array:
     """Ends of the 15 finger links' axes, palm frame: (n, 15, 2, 3) m for joint positions (n, 15) rad."""
@@ -50,6 +52,22 @@ def depth_below(normal: Array, offset: float, T_cloud_palm: Array, joints: Array
     fingers = np.einsum("nkec,nc->nke", finger_axes(joints), along).reshape(len(joints), -1).min(axis=1) - RADIUS
     palm = (along @ corners.T).min(axis=1)
     return np.asarray(-(np.minimum(fingers, palm) + at))
+
+
+def standing_points(points: Array, normal: Array, offset: float) -> Array:
+    """Points (k, 3) inside what stands on the plane normal . p = offset: under each of `points` (m, 3), down to the plane.
+
+    A camera sees tops and near sides; without these a hand could lie in an object's far side and be called free of it.
+    """
+    across = np.linalg.svd(normal[None])[2][1:]
+    height = points @ normal - offset
+    cells = np.floor(points @ across.T / COLUMN).astype(np.int64)
+    at, which = np.unique(cells, axis=0, return_inverse=True)
+    top = np.full(len(at), -np.inf)
+    np.maximum.at(top, which.ravel(), height)
+    levels = np.arange(LEVEL / 2, max(float(top.max()), LEVEL), LEVEL)
+    cell, level = np.nonzero(levels[None] < top[:, None] - COLUMN)
+    return np.asarray((at[cell] + 0.5) * COLUMN @ across + (levels[level] + offset)[:, None] * normal)
 
 
 @njit(cache=True)

@@ -33,9 +33,13 @@ from dgeval.stages.types import Model
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Candidates of one frame with the cloud they were drawn for, T_base_cloud and T_cloud_model of that frame."""
+    """Candidates of one frame with the cloud they were drawn for, T_base_cloud and T_cloud_model of that frame.
+
+    support: normal and offset m of the plane it stands on, in the cloud's frame, where one is known.
+    """
 
     cloud: EncodedCloud
+    support: tuple[Array, float] | None
     candidates: Candidates
     T_base_cloud: Array
     T_cloud_model: Array
@@ -75,8 +79,7 @@ class ModelGrasps:
         palm, config = frame.T_base_palm, self._config
         poses = T_base_cloud @ candidates.T_cloud_palm
         row["n_grasps"] = len(poses)
-        z, most = config.grasps.support_z, config.grasps.max_overlap
-        support = None if z is None else (T_base_cloud[2, :3], z - float(T_base_cloud[2, 3]))
+        support, most = at[1].support, config.grasps.max_overlap
         metric = candidates.scores if palm is None else grasp_metric(poses, candidates.scores, palm, config.selection)
         chosen = Feasible(
             lambda rows: free_of(
@@ -103,10 +106,12 @@ class ModelGrasps:
         T_base_cloud = T_base_camera.copy()
         T_base_cloud[:3, :3] = self._networks.R_cloud_base(T_base_camera).T
         T_cloud_model = invert(T_base_cloud) @ T_base_camera @ T_camera_model
-        cloud = encode_cloud(transform(T_cloud_model, model.points), self._networks)
+        z = self._config.grasps.support_z
+        support = None if z is None else (T_base_cloud[2, :3], z - float(T_base_cloud[2, 3]))
+        cloud = encode_cloud(transform(T_cloud_model, model.points), self._networks, support)
         kept = None if self._kept is None else (T_cloud_model @ self._kept[0], self._kept[1])
         n, seed = self._config.grasps.candidates, self._config.seed
-        return _Drawn(cloud, propose(cloud, self._networks, n, seed, frame.index, kept), T_base_cloud, T_cloud_model)
+        return _Drawn(cloud, support, propose(cloud, self._networks, n, seed, frame.index, kept), T_base_cloud, T_cloud_model)
 
     def _reaches(self, poses: Array, t_ns: int) -> Callable[[int], bool] | None:
         """Whether the arm reaches a pose from where it is; None where its kinematics or joints are not known."""

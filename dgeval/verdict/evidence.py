@@ -7,17 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dgeval.geometry import Array, invert, transform
+from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.hindsight import Hindsight
-from dgeval.physics.closing import CONTROL_S
+from dgeval.physics.closing import CLOSE_S, CONTROL_S, SETTLE_S
 from dgeval.physics.gripper import Gripper, gripper_of
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
+from dgeval.verdict.beliefs import COMMAND_TOPIC, VELOCITY_TOPIC, palm_errors
 
 PERIOD_NS = round(CONTROL_S * 1e9)
 APPROACH_S = 12.0  # before the close, as much of the approach as is looked at
 MIN_REGISTERED = 5  # frames; its shape and path are guesses with fewer
-VELOCITY_TOPIC = "/dgeval/belief/velocity"
+HELD_ABOVE_M = 0.03  # of the lowest point over the support: what is higher does not stand on it
+COMMAND_AGE_NS, MEASURED_TICKS = 50_000_000, 5  # of a command that still holds; of the hand's motion without commands
+RISES_M = 0.007  # a trembling hand moves by 10 mm and more; registration wobbles by 1 to 3 mm
+NO_SUPPORT_M = 0.25  # from the lowest point down to where a support is put when none was seen
+CLOSING = round((CLOSE_S + SETTLE_S) / CONTROL_S)  # ticks after the close in which the fingers tell what they meet
 
 
 @dataclass(frozen=True)
@@ -26,23 +31,28 @@ class HandMotion:
 
     Support frame: z up from the surface the object stands on (z = 0), y along its motion. `velocity` (n, 3) m/s is what the
     hand would follow with if it closed there: the robot's belief where it is recorded, else the object's velocity.
+    going (6,) m/s, rad/s: twist of the hand's frame with which it would have gone on instead of closing: as commanded last,
+    else as measured. closing (m, k): the drives' positions at the ticks from the close to the lift, as far as recorded.
     """
 
     t_ns: NDArray[np.int64]
     T_support_hand: Array
     fingers: Array
     velocity: Array
+    going: Array
+    closing: Array
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One approach in the support frame.
+    """One approach in the support frame. held: the object is held in the air by someone, who lets go when it is gripped.
 
     points (m, 3) m of the object, where it is at the reference, which is the close (or the last tick if it never came).
     free (n, 3) m: its undisturbed displacement by tick from there; velocity (3,) m/s: of the undisturbed object then.
     sd_m, sd_deg: of the object's place and turn at the close, or when the hand was nearest if it never came. close: tick of
     the close command, None if it never came. seen (n, 4, 4): by tick, what moves the object from where it is at the
-    reference to where it was seen, NaN where it was not.
+    reference to where it was seen, NaN where it was not. errors: what `palm_errors` says of the close, m (3,) each, or why it
+    can't.
     """
 
     hand: HandMotion
@@ -54,6 +64,8 @@ class Scene:
     close: int | None
     seen: Array
     gripper: Gripper
+    errors: dict[str, Array] | str
+    held: bool = False
 
     @property
     def reference(self) -> int:
@@ -74,8 +86,6 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         return "the twin knows the DLR-HIT Hand II and dgeval's jaw gripper only, and the description's joints are not theirs"
     if hindsight.n_registered < MIN_REGISTERED:
         return f"the object was registered in only {hindsight.n_registered} frames before the close"
-    if hindsight.support is None:
-        return "what the object stands on was never seen"
     root = mounts[gripper.drives[0]]
     track = JointTrack.of(trial.scan.joints.get(trial.roles.hand_joints or "", []), trial.config.clock.hand_joints.offset_ns)
     end_ns = close_ns if close_ns is not None else trial.pairs[-1][0]
@@ -83,10 +93,15 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
     count = (end_ns - start_ns) // PERIOD_NS
     times = end_ns - np.arange(count, -1, -1, dtype=np.int64) * PERIOD_NS
     T_support_base = _support_frame(hindsight, end_ns)
-    believed = trial.scan.velocities.get(VELOCITY_TOPIC, [])
+    points = transform(T_support_base @ hindsight.path.at(end_ns), hindsight.points)
+    above = hindsight.support is None or float(np.quantile(points[:, 2], 0.02)) > HELD_ABOVE_M
+    held = above and _rises(hindsight, T_support_base, end_ns)
+    if hindsight.support is None and not held:
+        return "what the object stands on was never seen"
+    believed = trial.scan.twists.get(VELOCITY_TOPIC, [])
     believed_ns = np.array([t for t, _ in believed], dtype=np.int64)
     free = T_support_base[:3, :3] @ hindsight.path.velocity[-1]
-    free[2] = 0.0
+    free[2] *= held
     kept: list[int] = []
     hands, fingers, velocities = [], [], []
     for t_ns in times.tolist():
@@ -100,10 +115,9 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         hands.append(T_support_base @ T)
         fingers.append(q)
         k = int(np.searchsorted(believed_ns, t_ns, side="right")) - 1
-        velocities.append(T_support_base[:3, :3] @ believed[k][1] if k >= 0 else free)
+        velocities.append(T_support_base[:3, :3] @ believed[k][1][:3] if k >= 0 else free)
     if len(kept) < 20:
         return "less than 0.2 s of the approach has a known hand pose"
-    points = transform(T_support_base @ hindsight.path.at(end_ns), hindsight.points)
     centres = np.array([transform(hindsight.path.at(t), hindsight.path.centroid[None])[0] for t in kept])
     nearest = -1
     if close_ns is None:
@@ -111,8 +125,20 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         palms = np.array([T @ np.append(gripper.centre, 1.0) for T in hands])[:, :3]
         nearest = int(np.argmin(np.linalg.norm(palms - transform(T_support_base, centres), axis=1)))
     moved = (centres - centres[-1]) @ T_support_base[:3, :3].T
-    moved[:, 2] = 0.0
-    hand = HandMotion(np.array(kept, dtype=np.int64), np.array(hands), np.array(fingers, dtype=float), np.array(velocities))
+    moved[:, 2] *= held
+    closing: list[list[float | None]] = []
+    while close_ns is not None and len(closing) < CLOSING:
+        t_ns = end_ns + (len(closing) + 1) * PERIOD_NS
+        row = [track.at(name, t_ns, round(trial.config.sync.max_pose_gap_s * 1e9)) for name in gripper.drives]
+        if any(v is None for v in row):
+            break
+        closing.append(row)
+    hand = HandMotion(
+        np.array(kept, dtype=np.int64), np.array(hands), np.array(fingers, dtype=float), np.array(velocities),
+        _going(trial, gripper, np.array(hands), T_support_base, end_ns),
+        np.array(closing, dtype=float).reshape(-1, len(gripper.drives)),
+    )  # fmt: skip
+    errors = palm_errors(trial, hindsight)
     return Scene(
         hand,
         points,
@@ -123,20 +149,58 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         None if close_ns is None else len(kept) - 1,
         _seen(hindsight, T_support_base, hand.t_ns, end_ns),
         gripper,
+        errors if isinstance(errors, str) else {k: T_support_base[:3, :3] @ e for k, e in errors.items()},
+        held,
     )
 
 
+def _rises(hindsight: Hindsight, T_support_base: Array, end_ns: int) -> bool:
+    """Whether the object went up or down before the close, as only what someone holds does.
+
+    That nothing was seen of it near its support says little: of a tall box a camera above sees the top alone.
+    """
+    centre = hindsight.path.centroid[None]
+    until = end_ns if hindsight.pushed_ns is None else min(hindsight.pushed_ns, end_ns)
+    seen = [s for s in hindsight.sightings if s.t_ns <= until and s.by == "registration"]
+    heights = [transform(T_support_base @ s.T_base_model, centre)[0, 2] for s in seen]
+    return len(seen) >= MIN_REGISTERED and float(np.subtract(*np.quantile(heights, [0.95, 0.05]))) > RISES_M
+
+
+def _going(trial: Trial, gripper: Gripper, hands: Array, T_support_base: Array, end_ns: int) -> Array:
+    """Twist (6,) of the hand's frame at the end of the approach, support axes."""
+    commands = [v for t, v in trial.scan.twists.get(COMMAND_TOPIC, []) if end_ns - COMMAND_AGE_NS <= t <= end_ns]
+    if not commands:
+        ticks = min(MEASURED_TICKS, len(hands) - 1)
+        before, last = hands[-1 - ticks], hands[-1]
+        dt = ticks * CONTROL_S
+        turn = rotation_vector(last[:3, :3] @ before[:3, :3].T)
+        return np.concatenate([last[:3, 3] - before[:3, 3], turn]) / dt
+    R = T_support_base[:3, :3]
+    return of_hand(np.concatenate([R @ commands[-1][:3], R @ commands[-1][3:]]), hands[-1], gripper.T_hand_palm)
+
+
+def of_hand(twist: Array, T_hand: Array, T_hand_palm: Array) -> Array:
+    """Twist (6,) of the hand's origin from that of the palm's, in the axes both are given in."""
+    lever = -T_hand[:3, :3] @ T_hand_palm[:3, 3]
+    return np.concatenate([twist[:3] + np.cross(twist[3:], lever), twist[3:]])
+
+
 def _support_frame(hindsight: Hindsight, t_ns: int) -> Array:
-    """T_support_base: z along the support's normal from its surface, y along the motion (base y projected, at rest)."""
-    assert hindsight.support is not None
-    n, d = hindsight.support.n, hindsight.support.d
+    """T_support_base: z along the support's normal from its surface, y along the motion (base y projected, at rest).
+
+    Without a support z is the base frame's, and a surface is put NO_SUPPORT_M below the object.
+    """
+    points = transform(hindsight.path.at(t_ns), hindsight.points)
+    n, d = np.array([0.0, 0.0, 1.0]), NO_SUPPORT_M - float(points[:, 2].min())
+    if hindsight.support is not None:
+        n, d = hindsight.support.n, hindsight.support.d
     v = hindsight.path.velocity[-1]
     along = v - n * (n @ v)
     if np.linalg.norm(along) < 0.005:
         along = np.array([0.0, 1.0, 0.0]) - n * n[1]
     y = along / np.linalg.norm(along)
     R = np.stack([np.cross(y, n), y, n])
-    centre = transform(hindsight.path.at(t_ns), hindsight.points).mean(axis=0)
+    centre = points.mean(axis=0)
     foot = centre - n * (n @ centre + d)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, -R @ foot

@@ -8,10 +8,9 @@ from typing import Any
 from dgeval.config import Config
 from dgeval.hindsight import Hindsight
 from dgeval.recording.trials import Trial
-from dgeval.taxonomy import Thresholds
 from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import Cause, cause_of
-from dgeval.verdict.evidence import scene_of
+from dgeval.verdict.evidence import Scene, scene_of
 from dgeval.verdict.outcome import Ended, outcome_of
 
 VERDICT_COLUMNS = (
@@ -46,16 +45,17 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
     if ended.outcome != "failure":
         return Judgement(columns, close_ns, None, tuple(notes))
     cause: Cause | str
+    scene: Scene | str = "the object was never tracked"
     if hindsight is None:
-        cause = "the object was never tracked"
+        cause = str(scene)
     else:
         scene = scene_of(trial, hindsight)
         v = config.verdict
         try:
-            cause = scene if isinstance(scene, str) else cause_of(scene, v.method, v.draws, config.seed, v.least, Thresholds())
+            cause = scene if isinstance(scene, str) else cause_of(scene, v.method, v.draws, config.seed, v.least)
         except ValueError as error:  # a cloud that spans no volume, or that MuJoCo can't make a solid of
             cause = str(error)
-    if isinstance(cause, str) or hindsight is None:
+    if isinstance(cause, str) or isinstance(scene, str) or hindsight is None:
         columns.update(failure_class="unknown", p_imprecise_pose=0.0, p_collision=0.0, p_timing=0.0, p_unknown=1.0)
         columns["evidence"] = f"{ended.evidence}; the cause is unknown: {cause}"
         return Judgement(columns, close_ns, None, tuple(notes))
@@ -65,7 +65,7 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
     columns["sub_cause"] = cause.sub_cause
     links = [s.contact_link for s in cause.samples if s.contact_link]
     link = max(sorted(set(links)), key=links.count) if links else hindsight.contact_link
-    blame = blame_of(trial, hindsight, cause)
+    blame = blame_of(cause, scene.errors)
     columns["blame"], columns["belief_source"] = blame.term, blame.source
     columns["p_blame"] = blame.probability if blame.term != "unknown" else None
     columns["evidence"] = sentence(trial, hindsight, ended, cause, link)

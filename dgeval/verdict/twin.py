@@ -25,7 +25,8 @@ from dgeval.physics.closing import (
     finishing_twist,
 )  # fmt: skip
 from dgeval.physics.objects import ObjectModel
-from dgeval.physics.scene import TIMESTEP, build, least_distance
+from dgeval.physics.presenter import GRIP, GRIPPED_N, RELEASE_S
+from dgeval.physics.scene import TIMESTEP, build, finger_forces, least_distance
 from dgeval.taxonomy import Facts, Needs, Thresholds, Verdict, classify
 from dgeval.verdict.evidence import Scene
 
@@ -35,16 +36,24 @@ HOLD_S = 0.3  # after the lift, until which the object must still be held
 NEAR_CENTRE = 0.20  # m from the grasp's centre to the object's, where the window of close times begins
 RESYNC_M, RESYNC_RAD = 0.006, 0.10  # a sighting farther than this from the physics' object moves it
 REACHED_M = 0.02  # hand to object; before it has come so near, what lies off the path is an error of the path
+MISMATCH_MOST = 0.3  # rad; a finger farther than this from where it was recorded says no more than that
+ERROR_LEAST_M = 0.001  # of the palm; smaller ones put nothing right
 WORLD_X = 0.5  # where the object stands in the world of `physics.scene`
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What one draw of place, turn and friction says. `reproduced`: the recorded failure happens in it too."""
+    """What one draw of place, turn and friction says. `reproduced`: the recorded failure happens in it too.
+
+    weight: how well it agrees with the log, against the other draws. restored: of the palm's errors by part, whether the
+    approach without that one alone lifts the object; "all": without any.
+    """
 
     verdict: Verdict
     facts: Facts
     reproduced: bool
+    weight: float
+    restored: dict[str, bool]
     t_contact_s: float | None
     contact_link: str | None
 
@@ -74,7 +83,8 @@ class Twin:
         self.scene = scene
         self.thing, centre = replace(solid[0], mass=solid[0].mass * mass), solid[1]
         self.gripper = scene.gripper
-        self.model = build(self.thing, float(scene.velocity[1]), robot="hand", gripper=self.gripper.name)
+        speed = 0.0 if scene.held else float(scene.velocity[1])
+        self.model = build(self.thing, speed, "hand", presented=scene.held, gripper=self.gripper.name)
         m = self.model
         parts = [g for g in range(m.ngeom) if m.geom(g).name.startswith("object_")]
         m.geom_friction[parts, 0] *= friction
@@ -86,20 +96,37 @@ class Twin:
         # nothing pushes a recorded hand: with a small inertia the solver would let part of each contact go into moving it
         m.dof_armature[self._hand_dof : self._hand_dof + 6] = 1e5
         self._fingers = np.array([m.joint(n).qposadr[0] for n in self.gripper.joints])
+        self._handle = int(m.body("handle").mocapid[0])
+        self._presenter = int(m.body("presenter").mocapid[0]) if scene.held else None
         self._drives = np.array([m.actuator(n).id for n in self.gripper.drives])
+        self._driven = np.array([m.joint(n).qposadr[0] for n in self.gripper.drives])
         self._is_hand = np.array([m.geom(g).contype[0] == 2 for g in range(m.ngeom)])
         self._is_object = np.isin(np.arange(m.ngeom), parts)
-        self._shift = np.array([WORLD_X - centre[0], -centre[1], 0.0])
-        self.rest = self.thing.rest_height()
-        self._start = np.array([WORLD_X + offset[0], offset[1], self.rest])
+        self._first = self._begin(centre, scene)
+        # the belt is not endless: its middle is the middle of the way
+        way = scene.free[scene.reference if self._first is None else self._first : scene.reference + 1, 1]
+        self._shift = np.array([WORLD_X - centre[0], -centre[1] - (way.min() + way.max()) / 2, 0.0])
+        self.rest = float(centre[2]) if scene.held else self.thing.rest_height()
+        self._names = {g: m.geom(g).name for g in np.flatnonzero(self._is_hand).tolist()}
+        self._start = self._shift + np.array([centre[0] + offset[0], centre[1] + offset[1], self.rest])
         self._turn = offset[2]
+        self._moved = np.zeros(3)  # of the whole approach, from where it was recorded
         self._size = mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_INTEGRATION)
+
+    def _begin(self, centre: Array, scene: Scene) -> int | None:
+        """The tick from which the hand is near the undisturbed object; None where it never is."""
+        end = scene.reference
+        T = scene.hand.T_support_hand[: end + 1]
+        palms = T[:, :3, :3] @ self.gripper.centre + T[:, :3, 3]
+        reach = NEAR_CENTRE + 0.5 * float(np.linalg.norm(self.thing.extent()))
+        near = np.flatnonzero(np.linalg.norm(palms - centre - scene.free[: end + 1], axis=1) < reach)
+        return end - (end - int(near[0])) // 3 * 3 if len(near) else None
 
     # the world at a tick
 
     def hand_at(self, tick: int) -> Array:
         T = np.array(self.scene.hand.T_support_hand[tick])
-        T[:3, 3] += self._shift
+        T[:3, 3] += self._shift + self._moved
         return T
 
     def undisturbed(self, tick: int) -> Array:
@@ -112,7 +139,7 @@ class Twin:
         d = self.data
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, T[:3, :3].ravel())
-        d.mocap_pos[0], d.mocap_quat[0] = T[:3, 3], quat
+        d.mocap_pos[self._handle], d.mocap_quat[self._handle] = T[:3, 3], quat
         d.qpos[self._hand : self._hand + 3], d.qpos[self._hand + 3 : self._hand + 7] = T[:3, 3], quat
         d.qvel[self._hand_dof : self._hand_dof + 3] = velocity
         d.qvel[self._hand_dof + 3 : self._hand_dof + 6] = T[:3, :3].T @ spin  # a free joint's spin is in the body's axes
@@ -122,12 +149,26 @@ class Twin:
         d.qpos[self._object : self._object + 7] = self.undisturbed(tick)
         d.qvel[self._object_dof : self._object_dof + 6] = [*self.scene.velocity, 0, 0, 0]
         d.qacc_warmstart[:] = 0
+        self._present(tick)
 
-    def _resync(self, tick: int) -> None:
-        """Where the object was seen well away from where physics has it, it goes there: sightings are facts too."""
+    def _present(self, tick: int) -> None:
+        """The hand of who holds the object to where it has it, undisturbed."""
+        if self._presenter is not None:
+            pose = self.undisturbed(tick)
+            self.data.mocap_pos[self._presenter], self.data.mocap_quat[self._presenter] = pose[:3], pose[3:]
+
+    def _held(self) -> bool:
+        """Whether someone still holds the object."""
+        return self._presenter is not None and bool(self.data.eq_active[self.model.equality(GRIP).id])
+
+    def _resync(self, tick: int) -> list[float]:
+        """Where the object was seen well away from where physics has it, it goes there: sightings are facts too.
+
+        Returns how far that was, m, where it was seen.
+        """
         moved = self.scene.seen[tick]
         if not np.isfinite(moved[0, 0]):
-            return
+            return []
         d = self.data
         place = (moved[:3, :3] @ (self._start - self._shift) + moved[:3, 3]) + self._shift
         now = d.qpos[self._object : self._object + 7]
@@ -144,11 +185,12 @@ class Twin:
         apart = float(np.linalg.norm(place[:2] - now[:2]))
         angle = 2 * np.arccos(min(1.0, abs(float(turn @ now[3:]))))
         if apart < RESYNC_M and (self.thing.rolls or angle < RESYNC_RAD):
-            return
+            return [apart]
         d.qpos[self._object : self._object + 7] = [*place, *turn]
         d.qvel[self._object_dof : self._object_dof + 6] = [*self.scene.velocity, 0, 0, 0]
         d.qacc_warmstart[:] = 0
         mujoco.mj_forward(self.model, d)
+        return [apart]
 
     def _put_fingers(self, tick: int) -> None:
         q = self.scene.hand.fingers[tick]
@@ -177,8 +219,8 @@ class Twin:
 
     def restore(self, state: Array) -> None:
         mujoco.mj_setState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        self.data.mocap_pos[0] = self.data.qpos[self._hand : self._hand + 3]
-        self.data.mocap_quat[0] = self.data.qpos[self._hand + 3 : self._hand + 7]
+        self.data.mocap_pos[self._handle] = self.data.qpos[self._hand : self._hand + 3]
+        self.data.mocap_quat[self._handle] = self.data.qpos[self._hand + 3 : self._hand + 7]
         mujoco.mj_forward(self.model, self.data)
 
     def _move(self, T: Array, velocity: Array, spin: Array) -> Array:
@@ -190,7 +232,7 @@ class Twin:
         for _ in range(SUBSTEPS):
             # neither the object nor the fingers may push the recorded hand
             d.qpos[a : a + 7], d.qvel[b : b + 6] = pose, moving
-            d.mocap_pos[0], d.mocap_quat[0] = pose[:3], pose[3:]
+            d.mocap_pos[self._handle], d.mocap_quat[self._handle] = pose[:3], pose[3:]
             mujoco.mj_step(self.model, d)
             pose[:3] += velocity * TIMESTEP
             if spin.any():
@@ -217,14 +259,26 @@ class Twin:
         geom = next(int(g) for g in pairs[k] if self._is_hand[g])
         return True, max(0.0, -float(self.data.contact.dist[k])), self.model.geom(geom).name
 
-    def close(self, T: Array, velocity: Array, preshape: Array) -> tuple[bool, float]:
-        """Close, follow, lift from the present state: success, and the object's greatest rise m."""
+    def close(self, T: Array, velocity: Array, preshape: Array, fingers: list[Array] | None = None) -> tuple[bool, float]:
+        """Close, follow, lift from the present state: success, and the object's greatest rise m.
+
+        fingers: gets the drives' positions after each tick.
+        """
         d = self.data
-        height, since = 0.0, 0.0
+        height, since, gripped_s = 0.0, 0.0, 0.0
         while True:
             d.ctrl[self._drives] = self.gripper.targets(since, preshape)
+            if self._held():
+                # who holds it goes on as before, and lets go when it has been gripped for a moment
+                d.mocap_pos[self._presenter] += self.scene.velocity * CONTROL_S
+                forces = finger_forces(self.model, d, self._names, self.gripper.fingers)
+                gripped_s = gripped_s + CONTROL_S if int((forces > GRIPPED_N).sum()) >= 2 else 0.0
+                if gripped_s >= RELEASE_S:
+                    d.eq_active[self.model.equality(GRIP).id] = 0
             T = self._move(T, finishing_twist(since, velocity)[:3], np.zeros(3))
             since += CONTROL_S
+            if fingers is not None:
+                fingers.append(d.qpos[self._driven].copy())
             z = float(d.qpos[self._object + 2])
             height = max(height, z - self.rest)
             lift = since - CLOSE_S - SETTLE_S
@@ -235,34 +289,52 @@ class Twin:
             if lift >= LIFT_S + HOLD_S:
                 centre = T[:3, :3] @ self.gripper.centre + T[:3, 3]
                 near = np.linalg.norm(d.qpos[self._object : self._object + 3] - centre) < MAX_FROM_HAND
-                return bool(z > self.rest + MIN_LIFT and near and self.touching()[0]), height
+                return bool(z > self.rest + MIN_LIFT and near and self.touching()[0] and not self._held()), height
 
-    def _close_at(self, state: Array, tick: int) -> tuple[bool, float]:
+    def _close_at(self, state: Array, tick: int, fingers: list[Array] | None = None) -> tuple[bool, float]:
         self.restore(state)
         T = self._hand_pose()
-        return self.close(T, self.scene.hand.velocity[tick], self.scene.hand.fingers[tick])
+        return self.close(T, self.scene.hand.velocity[tick], self.scene.hand.fingers[tick], fingers)
 
     def approach(self) -> bool:
-        """The recorded hand through the object up to the close; whether the recorded failure happens there too."""
+        """The recorded hand through the object up to the close; whether the recorded failure happens there too.
+
+        Sets `mismatch`, rad or m: how far the fingers, closing, are from where they were recorded; and `strayed`, m: how far
+        the object, with the hand at it, is from where it was seen. Both are 0 where that is not known.
+        """
+        self.mismatch = self.strayed = 0.0
         scene, end = self.scene, self.scene.reference
-        centres = np.array([self.hand_at(k) @ np.append(self.gripper.centre, 1.0) for k in range(end + 1)])[:, :3]
-        path = np.array([self.undisturbed(k)[:3] for k in range(end + 1)])
-        reach = NEAR_CENTRE + 0.5 * float(np.linalg.norm(self.thing.extent()))
-        near = np.flatnonzero(np.linalg.norm(centres - path, axis=1) < reach)
-        if not len(near):
-            self._approached = None
+        self._approached = None
+        if self._first is None:
             return True
-        first = end - (end - int(near[0])) // 3 * 3
-        self._approached = self._approach(first, end)
-        works, self._height = (False, 0.0) if scene.close is None else self._close_at(self._approached.states[end], end)
+        self._approached = self._approach(self._first, end)
+        self._height = 0.0
+        if scene.close is None:
+            return True
+        fingers: list[Array] = []
+        works, self._height = self._close_at(self._approached.states[end], end, fingers)
+        n = min(len(fingers), len(scene.hand.closing))
+        if n:
+            apart = np.abs(np.array(fingers[n // 2 : n]) - scene.hand.closing[n // 2 : n])
+            self.mismatch = float(np.sqrt(np.mean(np.minimum(apart, MISMATCH_MOST) ** 2)))
         return not works
 
-    def decide(self, thresholds: Thresholds, reproduced: bool) -> Sample:
-        """After `approach`: the curve of close times, and the rule over it."""
+    def without(self, error: Array) -> bool:
+        """Whether the approach displaced by less `error`, m (3,), would have lifted the object; after `approach`."""
+        end = self.scene.reference
+        if self._approached is None or self.scene.close is None:
+            return False
+        self._moved = -error
+        works = self._close_at(self._approach(min(self._approached.states), end, resync=False).states[end], end)[0]
+        self._moved = np.zeros(3)
+        return works
+
+    def decide(self, thresholds: Thresholds, reproduced: bool, weight: float) -> Sample:
+        """After `approach`: the curve of close times, the rule over it, and the approach without what put the palm off."""
         scene, end, made = self.scene, self.scene.reference, self._approached
         if made is None:
             facts = Facts(scene.close is not None, 0.0, 0.0, (), None, 0.0)
-            return Sample(Verdict("imprecise_pose", "missed"), facts, scene.close is None, None, None)
+            return Sample(Verdict("imprecise_pose", "missed"), facts, scene.close is None, weight, {}, None, None)
         contact = made.contact
         tried = self._earlier(made.states, min(made.states), contact)
         if scene.close is not None:
@@ -283,13 +355,21 @@ class Twin:
                 overlap = self.touching()[1]
                 works = self.close(self.hand_at(k), scene.hand.velocity[k], scene.hand.fingers[k])[0]
                 facts = replace(facts, overlap_m=overlap, put_back=works)
-        return Sample(answer, facts, reproduced, None if contact is None else (contact - end) * CONTROL_S, made.link)
+        restored: dict[str, bool] = {}
+        if answer.failure_class != "timing" and not isinstance(scene.errors, str):
+            parts = {k: e for k, e in scene.errors.items() if np.linalg.norm(e) > ERROR_LEAST_M}
+            restored = {k: self.without(e) for k, e in parts.items()}
+            if len(parts) > 1 and not any(restored.values()):
+                restored["all"] = self.without(np.sum(list(parts.values()), axis=0))
+        t_contact = None if contact is None else (contact - end) * CONTROL_S
+        return Sample(answer, facts, reproduced, weight, restored, t_contact, made.link)
 
     def _earlier(self, states: dict[int, Array], first: int, contact: int | None) -> dict[int, bool]:
         """Close times up to the real one, backwards until two in a row work; past a push, until two before it do."""
         scene, end = self.scene, self.scene.reference
         fine = end - round(AFTER_CLOSE_S / CONTROL_S) if scene.close is not None else end
-        wanted = [*range(end, max(fine, first) - 1, -STEP), *range(max(fine, first) - STEP, first - 1, -2 * STEP)]
+        step = 2 * STEP if scene.close is not None else STEP
+        wanted = [*range(end, max(fine, first) - 1, -STEP), *range(max(fine, first) - STEP, first - 1, -step)]
         tried: dict[int, bool] = {}
         row = 0
         for k in wanted:
@@ -319,19 +399,20 @@ class Twin:
         T[:3, :3], T[:3, 3] = R.reshape(3, 3), self.data.qpos[self._hand : self._hand + 3]
         return T
 
-    def _approach(self, first: int, end: int) -> Approach:
+    def _approach(self, first: int, end: int, resync: bool = True) -> Approach:
         self.at(first)
         states: dict[int, Array] = {}
         off = np.zeros((end - first + 1, 2))
         contact, link, reached = None, None, False
+        strayed: list[float] = []
         hand, thing = np.flatnonzero(self._is_hand).tolist(), np.flatnonzero(self._is_object).tolist()
         for k in range(first, end + 1):
             reached = reached or least_distance(self.model, self.data, hand, thing, REACHED_M) < REACHED_M
             pose, free = self.data.qpos[self._object : self._object + 7], self.undisturbed(k)
-            if reached:
-                self._resync(k)
-            else:
+            if not reached:
                 pose[:2] = free[:2]
+            elif resync and self._presenter is None:
+                strayed += self._resync(k)
             off[k - first, 0] = np.linalg.norm(pose[:3] - free[:3])
             dot = abs(float(pose[3:7] @ free[3:7]))
             off[k - first, 1] = 0.0 if self.thing.rolls else np.degrees(2 * np.arccos(min(1.0, dot)))
@@ -342,19 +423,24 @@ class Twin:
             if (end - k) % 3 == 0:
                 states[k] = self.save()
             if k < end:
+                self._present(k + 1)
                 a, b = self.hand_at(k), self.hand_at(k + 1)
                 self.data.ctrl[self._drives] = self.scene.hand.fingers[k]
                 self._move(a, (b[:3, 3] - a[:3, 3]) / CONTROL_S, rotation_vector(b[:3, :3] @ a[:3, :3].T) / CONTROL_S)
                 self._put_hand(b, *self.twist(k + 1))
+        if resync and strayed:
+            self.strayed = float(np.mean(strayed))
         return Approach(states, float(off[:, 0].max()), float(off[:, 1].max()), contact, link)
 
     def _later(self, state: Array, end: int) -> list[tuple[float, bool]]:
         """The approach gone on with at constant twist and open fingers after the close."""
         self.restore(state)
-        velocity, spin = self.twist(max(end - 2, 0))
+        velocity, spin = self.scene.hand.going[:3], self.scene.hand.going[3:]
         T = self.hand_at(end)
         held = []
         for k in range(1, round(AFTER_CLOSE_S / CONTROL_S) + 1):
+            if self._presenter is not None:
+                self.data.mocap_pos[self._presenter] += self.scene.velocity * CONTROL_S
             T = self._move(T, velocity, spin)
             if k % STEP == 0:
                 held.append((k * CONTROL_S, self.save()))
