@@ -377,7 +377,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=VerdictConfig().draws)
     parser.add_argument("--variant", action="append", choices=list(VARIANTS))
     parser.add_argument("--method", action="append", choices=["twin", "geometry"])
-    parser.add_argument("--blame", action="store_true", help="also find the fault whose removal restores success, and score")
+    parser.add_argument("--blame", type=int, default=0, help="of so many first trials also find and score the fault to blame")
     parser.add_argument("--unrefined", action="store_true", help="VFAS-Grasp's scenarios with the seed executed as it is")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--tables", action="store_true", help="only print the tables of an earlier run's rows again")
@@ -389,7 +389,7 @@ def main() -> None:
     methods = tuple(m for m in methods if not rows or any(m in r for r in rows))
     if not options.tables:
         jobs = [
-            Job(options.scenario, options.seed, k, variant, options.draws, methods, options.blame, options.unrefined)
+            Job(options.scenario, options.seed, k, variant, options.draws, methods, k < options.blame, options.unrefined)
             for variant in options.variant or ["as simulated"]
             for k in range(options.trials)
         ]
@@ -402,7 +402,7 @@ def main() -> None:
     parts = [f"## {v}\n\n{tables([r for r in rows if r['variant'] == v], methods)}" for v in ran]
     command = f"python -m benchmarks.verdict --scenario {rows[0].get('scenario', 'failures')} --seed {rows[0]['seed']}"
     command += f" --trials {len(rows) // len(ran)} --draws {options.draws}"
-    command += "".join(f" --{flag}" for flag in ("blame", "unrefined") if getattr(options, flag))
+    command += (f" --blame {options.blame}" if options.blame else "") + (" --unrefined" if options.unrefined else "")
     title = "Verdicts on simulated failures that set nothing"
     print(write(options.out.stem, title, command, parts, options.out.parent).read_text(encoding="utf-8"))
 

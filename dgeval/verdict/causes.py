@@ -28,6 +28,7 @@ MOST = 7  # draws that are asked, where fewer do not agree
 MISMATCH_SD = {"fingers": 0.03, "jaw": 0.002}  # rad, m; of where the closing fingers come to rest
 STRAYED_SD = 0.002  # m; of where the object is while the hand is at it
 TRUSTED = 0.05  # share of draws in which the recorded failure happens, below which the instrument is not believed
+RARELY = 0.25  # likewise for a collision: an object displaced until the grasp fails is easily one that the hand hits
 SD_LEAST_M, SD_LEAST_DEG = 0.0015, 1.0  # nothing is known better than that
 SD_MOST_M, SD_MOST_DEG = 0.006, 5.0
 SD_FRICTION, SD_MASS = 0.15, 0.7  # of logarithms; a log does not weigh: household things have 70 to 900 kg/m^3
@@ -67,6 +68,10 @@ def cause_of(scene: Scene, method: str, draws: int, seed: int, least: float) -> 
     doubt = None
     if reproduced < TRUSTED:
         doubt = f"the recorded failure happens in only {reproduced:.0%} of the draws of the {method}"
+    elif CLASSES[best] == "collision" and reproduced < RARELY:
+        doubt = (
+            f"the hand hits the object in the {reproduced:.0%} of the draws that end as recorded, and in the others all is well"
+        )
     elif p[best] < least:
         doubt = f"{CLASSES[best]} is only {p[best]:.0%} likely over {len(samples)} draws of the object's place"
     if doubt is not None:
