@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -16,14 +17,16 @@ from dgeval.geometry import transform
 from dgeval.hindsight import Surface
 from dgeval.physics.objects import ObjectModel, surface_points, ten_objects
 from dgeval.physics.shape import solid_from_cloud
+from dgeval.recording.messages import StampedPose
 from dgeval.report.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.report.summary import failure_shares, published, read_truth, success_by
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, load_scenario
+from dgeval.stages.smoothing import Path as ObjectPath
 from dgeval.stages.smoothing import Sighting, smooth
 from dgeval.stages.types import Model
-from dgeval.verdict.beliefs import laid_on
+from dgeval.verdict.beliefs import laid_on, palm_errors
 from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import CLASSES, Cause, cause_of
 from mcap.reader import make_reader
@@ -205,6 +208,42 @@ def test_a_part_that_put_the_palm_off_is_blamed(tmp_path: Path) -> None:
     turned = replace(scene, errors={**scene.errors, "tracking": -scene.errors["tracking"]})
     assert blame_of(cause_of(turned, "twin", 3, 0, 0.0), turned.errors).term == "unknown"
     assert blame_of(cause_of(turned, "twin", 3, 0, 0.0), "beliefs not recorded").why_unknown == "beliefs not recorded"
+
+
+@pytest.mark.parametrize("masked", [True, False])
+def test_what_put_the_palm_off_is_told_apart(masked: bool) -> None:
+    """Catches a sign, a grasp that is not carried on to the close, a prediction taken for a sighting, and a wrong interval."""
+    seconds = 1_000_000_000
+
+    def stamped(t: float, x: float, y: float) -> StampedPose:
+        return StampedPose(round(t * seconds), "", "", np.array([x, y, 0.5, 0, 0, 0, 1.0]))
+
+    # the object moves at 0.10 m/s along y; the robot believes 0.12, sees it last at 1.8 s, 4 mm ahead of where it is
+    path = ObjectPath(
+        np.array([0, 2 * seconds]), np.array([[0, 0, 0.5], [0, 0.2, 0.5]]), np.tile([0.0, 0.1, 0.0], (2, 1)), np.zeros(2), 0.0,
+        np.eye(3), 0.0, np.array([0.01, 0.0, 0.0]),
+    )  # fmt: skip
+    own = [stamped(t, 0.0, 0.1 * t + (0.004 if t > 0 else 0.0)) for t in (0.0, 1.0, 1.8)]
+    predicted = [stamped(1.9, 0.0, 0.19 + 0.006)]
+    palm = np.eye(4)
+    palm[:3, 3] = [0.003, 0.21, 0.7]
+    times = {"/dgeval/belief/mask": SimpleNamespace(arrays=lambda: (np.array([p.t_ns for p in own]), None))} if masked else {}
+    twists = {"/dgeval/belief/velocity": [(round(1.9 * seconds), np.array([0.0, 0.12, 0.0, 0, 0, 0]))]}
+    grasps = [replace(stamped(1.97, 0.0, 0.2), pose=np.array([0.0, 0.2, 0.7, 0, 0, 0, 1.0]))]
+    trial = SimpleNamespace(
+        event_ns=lambda _: 2 * seconds, opened=SimpleNamespace(topics={}),
+        scan=SimpleNamespace(
+            poses={"/dgeval/belief/grasp": grasps, "/dgeval/belief/target_pose": [*own, *predicted]}, times=times, twists=twists
+        ),
+        robot=SimpleNamespace(T_base_palm=lambda _: palm, T_base_camera=lambda _: np.eye(4)),
+    )  # fmt: skip
+    hindsight = SimpleNamespace(path=path, points=np.zeros((1, 3)))
+    errors = palm_errors(trial, hindsight)  # type: ignore[arg-type]
+    assert isinstance(errors, dict)
+    np.testing.assert_allclose(errors["servo"], [0.003, 0.21 - 0.2 - 0.12 * 0.03, 0.0], atol=1e-9)
+    last, ahead = (1.8, 0.004) if masked else (1.9, 0.006)
+    np.testing.assert_allclose(errors["tracking"], [0.0, ahead, 0.0], atol=1e-9)
+    np.testing.assert_allclose(errors["velocity"], [0.0, 0.02 * (2.0 - last), 0.0], atol=1e-9)
 
 
 def test_a_cloud_is_laid_on_the_robots_model() -> None:
