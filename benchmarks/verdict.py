@@ -17,6 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import dgeval.physics  # noqa: F401  # isort: skip  (it chooses how images are drawn before mujoco is imported)
 import mujoco
 import numpy as np
 from dgeval.config import VerdictConfig
@@ -167,7 +168,7 @@ def palm_errors(
     if run.close is None:
         return "it never closed: there is no decisive instant"
     before = [f for f in run.frames if begin <= f.tick <= run.close]
-    own = [f for f in before if f.accepted]
+    own = [f for f in before if f.accepted and f.T_base_object is not None]
     grasps = [(f.tick, T) for f in before if (T := run.ticks[f.tick].T_base_grasp) is not None]
     if not own or not grasps or own[-1].velocity is None:
         return "beliefs not recorded"
@@ -374,6 +375,7 @@ def main() -> None:
     parser.add_argument("--scenario", default="failures")
     parser.add_argument("--seed", type=int, default=3000, help="no other part of the project uses the default's trials")
     parser.add_argument("--trials", type=int, default=320, help="simulated trials; the failures among them are judged")
+    parser.add_argument("--first", type=int, default=0, help="index of the first; rows are added to those of an earlier run")
     parser.add_argument("--draws", type=int, default=VerdictConfig().draws)
     parser.add_argument("--variant", action="append", choices=list(VARIANTS))
     parser.add_argument("--method", action="append", choices=["twin", "geometry"])
@@ -391,9 +393,11 @@ def main() -> None:
         jobs = [
             Job(options.scenario, options.seed, k, variant, options.draws, methods, k < options.blame, options.unrefined)
             for variant in options.variant or ["as simulated"]
-            for k in range(options.trials)
+            for k in range(options.first, options.trials)
         ]
-        with ProcessPoolExecutor(options.jobs) as pool, kept.open("w") as file:
+        if options.first:
+            rows += [json.loads(line) for line in kept.read_text().splitlines()]
+        with ProcessPoolExecutor(options.jobs) as pool, kept.open("a" if options.first else "w") as file:
             for row in pool.map(judge, jobs):
                 rows.append(row)
                 file.write(json.dumps(row) + "\n")

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from benchmarks.verdict import scene_from
-from dgeval.geometry import transform
-from dgeval.hindsight import Surface
+from dgeval.geometry import increment, transform
+from dgeval.hindsight import Surface, _priors
 from dgeval.physics.objects import ObjectModel, surface_points, ten_objects
 from dgeval.physics.shape import solid_from_cloud
 from dgeval.recording.messages import StampedPose
@@ -29,6 +29,8 @@ from dgeval.stages.types import Model
 from dgeval.verdict.beliefs import laid_on, palm_errors
 from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import CLASSES, Cause, cause_of
+from dgeval.verdict.evidence import of_hand
+from dgeval.verdict.twin import Twin
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
@@ -208,6 +210,47 @@ def test_a_part_that_put_the_palm_off_is_blamed(tmp_path: Path) -> None:
     turned = replace(scene, errors={**scene.errors, "tracking": -scene.errors["tracking"]})
     assert blame_of(cause_of(turned, "twin", 3, 0, 0.0), turned.errors).term == "unknown"
     assert blame_of(cause_of(turned, "twin", 3, 0, 0.0), "beliefs not recorded").why_unknown == "beliefs not recorded"
+
+
+def test_fingers_that_close_elsewhere_tell_a_wrong_place(tmp_path: Path) -> None:
+    campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
+    plan = Plan("t", "rubiks_cube", 0.08, 0.47, -0.2, 0.3, -0.2, Faults(registration_bias=(0.0, -0.025, 0, 0, 0, 0)), 5, 0)
+    run, world = simulate(campaign, plan)
+    scene = scene_from(run, world, 7)
+    assert len(scene.hand.closing) == 50
+    apart = []
+    for offset in ((0.0, 0.0), (0.0, 0.02), (-0.02, 0.0)):
+        twin = Twin(scene, solid_from_cloud(scene.points), (*offset, 0.0), 1.0, 1.0)
+        twin.approach()
+        apart.append(twin.mismatch)
+    assert apart[0] < 0.5 * max(apart[1:])
+
+
+def test_a_twist_of_the_palm_as_one_of_the_hand() -> None:
+    rng = np.random.default_rng(0)
+    T_hand, T_hand_palm = increment(rng.normal(0, 0.5, 6)), increment(rng.normal(0, 0.2, 6))
+    twist, dt = rng.normal(0, 0.3, 6), 1e-6
+    turn = Rotation.from_rotvec(twist[3:] * dt).as_matrix()
+    palm = (T_hand @ T_hand_palm)[:3, 3]
+    after = turn @ (T_hand[:3, 3] - palm) + palm + twist[:3] * dt  # the palm goes, all else turns about it
+    found = of_hand(twist, T_hand, T_hand_palm)
+    np.testing.assert_allclose(found[:3], (after - T_hand[:3, 3]) / dt, atol=1e-5)
+    np.testing.assert_array_equal(found[3:], twist[3:])
+
+
+def test_a_pushed_object_is_looked_for_where_it_was_and_will_be_seen() -> None:
+    """Catches a second pass that only looks on the path, and one that carries a sighting the wrong way in time."""
+    seconds = 1_000_000_000
+    path = ObjectPath(
+        np.array([0, 2 * seconds]), np.array([[0, 0, 0], [0, 0.2, 0]]), np.tile([0.0, 0.1, 0.0], (2, 1)), np.zeros(2), 0.0,
+        np.eye(3), 0.0, np.zeros(3),
+    )  # fmt: skip
+    off = [np.eye(4) for _ in range(2)]
+    off[0][:3, 3], off[1][:3, 3] = [0.03, 0.19, 0.0], [0.06, 0.21, 0.0]
+    sightings = [Sighting(round(t * seconds), T, "registration", False) for t, T in zip((1.9, 2.3), off, strict=True)]
+    trial = SimpleNamespace(robot=SimpleNamespace(T_base_palm=lambda _: None))
+    found = _priors(2 * seconds, path, sightings, trial, 3 * seconds)  # type: ignore[arg-type]
+    np.testing.assert_allclose([T[:3, 3] for T in found], [[0.0, 0.2, 0.0], [0.03, 0.2, 0.0], [0.06, 0.18, 0.0]], atol=1e-9)
 
 
 @pytest.mark.parametrize("masked", [True, False])
