@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.verdict import scene_from
 from dgeval.determinism import generator
 from dgeval.geometry import rotation_angle
 from dgeval.physics.objects import ten_objects
 from dgeval.physics.presenter import Presenter, drawn
+from dgeval.physics.shape import solid_from_cloud
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, Scenario, load_scenario, plan_trial
@@ -19,6 +21,7 @@ from dgeval.simulation.setting import Setting
 from dgeval.simulation.trial import OPEN
 from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, home, matrix_of, twin_path
+from dgeval.verdict.twin import Twin
 
 THINGS = ten_objects()
 
@@ -90,6 +93,13 @@ def test_a_handover_ends_with_the_object_in_the_robots_hand_alone(scenario: Scen
     assert truth.outcome == "success"
     # the undisturbed path is the presenter's, not a place on the belt
     assert np.ptp(truth.twin[:, 1]) > 0.05 or np.ptp(truth.twin[:, 0]) > 0.05
+    # and what a verdict's twin makes of it is a success too: who holds the object lets go of it there as well
+    scene = scene_from(run, world, 7)
+    assert scene.held
+    failed = [
+        Twin(scene, solid_from_cloud(scene.points, held=True), (0.0, dy, 0.0), 1.0, 1.0).approach() for dy in (0.0, 0.002)
+    ]
+    assert not all(failed)
 
 
 @pytest.mark.slow
