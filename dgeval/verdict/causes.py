@@ -1,7 +1,7 @@
 """Why a grasp failed: the rule of `taxonomy` over what an instrument finds out, for several draws of what is uncertain.
 
-Two instruments: the twin (physics), and geometry alone, which asks whether the object lies where the hand closes. Over 227
-simulated failures that set nothing the twin has macro-F1 0.82, geometry 0.42 (`benchmarks/results/verdict.md`), so the twin
+Two instruments: the twin (physics), and geometry alone, which asks whether the object lies where the hand closes. Over 232
+simulated failures that set nothing the twin has macro-F1 0.81, geometry 0.42 (`benchmarks/results/verdict.md`), so the twin
 is the default; what neither can be run on is `unknown`.
 """
 
