@@ -73,6 +73,8 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
         notes.append(f"blame unknown: {blame.why_unknown}")
     elif blame.term != "execution":
         notes.append("blame: " + ", ".join(f"{k} {v * 1000:.0f} mm" for k, v in blame.sizes.items()))
+    if scene.held:
+        notes.append("verdict: someone holds the object; it is assumed to be let go once two fingers press it for 0.1 s")
     notes.append(f"verdict: {cause.instrument}, {len(cause.samples)} draws, {cause.reproduced:.0%} reproduce the failure")
     decisive = close_ns
     if cause.failure_class == "collision":
