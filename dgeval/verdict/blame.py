@@ -2,7 +2,7 @@
 
 The twin runs the approach again, displaced by what `palm_errors` says that one part put the palm off. Where no part is off by
 more than grasps survive, what the robot was after would have failed too: synthesis; where another close time lifts the object
-it is execution, and where only a push has to be undone it is the way the hand came: servo. Needs the robot's own beliefs.
+it is execution. Of a collision nothing can be said: from the push on the robot's beliefs follow it. Needs those beliefs.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ def blame_of(cause: Cause, errors: dict[str, Array] | str) -> Blame:
     if isinstance(errors, str):
         return Blame("unknown", 0.0, {}, None, errors)
     sizes = {k: float(np.linalg.norm(e)) for k, e in errors.items()}
+    if cause.failure_class == "collision":
+        return Blame("unknown", 0.0, sizes, "recorded", "the object was pushed, and the robot believed what was pushed")
     asked = [s for s in cause.samples if s.verdict.failure_class == cause.failure_class]
     total = sum(s.weight for s in asked)
     shares = {k: sum(s.weight for s in asked if s.restored.get(k)) / total for k in (*errors, "all")}
@@ -49,8 +51,6 @@ def blame_of(cause: Cause, errors: dict[str, Array] | str) -> Blame:
             return Blame(parts[0], share.get(parts[0], shares["all"]), sizes, "recorded")
     if restoring:
         return Blame("unknown", 0.0, sizes, "recorded", f"removing any of {', '.join(sorted(restoring))} alone would do")
-    if cause.failure_class == "collision":
-        return Blame("servo", max(cause.probabilities), sizes, "recorded")
     if large:
         why = f"no part alone explains it, the largest is {large[0]} with {sizes[large[0]] * 1000:.0f} mm"
         return Blame("unknown", 0.0, sizes, "recorded", why)
