@@ -20,7 +20,7 @@ from typing import Any
 import dgeval.physics  # noqa: F401  # isort: skip  (it chooses how images are drawn before mujoco is imported)
 import mujoco
 import numpy as np
-from dgeval.config import VerdictConfig
+from dgeval.config import ServoConfig, VerdictConfig
 from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, increment, invert
 from dgeval.hindsight import blind_gap
@@ -38,6 +38,7 @@ from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, matrix_of, twin_path
 from dgeval.taxonomy import HANDED_OVER, Thresholds
+from dgeval.verdict.beliefs import DRIFT_NS, Beliefs, carried, gains_of, growth
 from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import CLASSES, Cause, cause_of
 from dgeval.verdict.evidence import APPROACH_S, CLOSING, PERIOD_NS, HandMotion, Scene, of_hand
@@ -145,43 +146,64 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
         of_hand(run.ticks[end].twist, hands[-1], world.gripper.T_hand_palm), np.array(closing).reshape(-1, len(drives)),
     )  # fmt: skip
     gap = (end - last) * CONTROL_S
-    errors = palm_errors(run, hands[-1] @ world.gripper.T_hand_palm, objects, T_true_seen, begin, velocity, rng)
+    T_base_palm = np.array(hands) @ world.gripper.T_hand_palm
+    believed = beliefs(run, T_base_palm, objects, T_true_seen, T_end, begin, velocity, place, drift, rng)
     return Scene(
         motion, points, free, velocity, float(np.hypot(PLACE_M, VELOCITY * gap)), TURN_DEG,
-        None if run.close is None else end - begin, seen, world.gripper, errors, held,
+        None if run.close is None else end - begin, seen, world.gripper, believed, held,
     )  # fmt: skip
 
 
-def palm_errors(
+def beliefs(
     run: Run,
     T_base_palm: Array,
     seen: list[Array],
     T_true_seen: Array,
+    T_end: Array,
     begin: int,
     velocity: Array,
+    place: Array,
+    carried_off: Array,
     rng: np.random.Generator,
-) -> dict[str, Array] | str:
+) -> Beliefs | str:
     """As `dgeval.verdict.beliefs` finds them in a recording. seen: T_base_object by tick from `begin`, as hindsight sees it.
 
-    T_true_seen: from the base frame into that in which palm and `seen` are given.
+    T_base_palm: by tick too. T_true_seen: from the base frame into that in which these and the undisturbed object at the end,
+    T_end, are given.
+    place, carried_off: hindsight's errors of the sightings, and since the last of them.
     """
-    if run.close is None:
-        return "it never closed: there is no decisive instant"
-    before = [f for f in run.frames if begin <= f.tick <= run.close]
-    own = [f for f in before if f.accepted and f.T_base_object is not None]
+    at = begin + len(seen) - 1
+    before = [f for f in run.frames if begin <= f.tick <= at]
     grasps = [(f.tick, T) for f in before if (T := run.ticks[f.tick].T_base_grasp) is not None]
+    if run.close is None and grasps:
+        at = min(grasps, key=lambda g: float(np.linalg.norm(T_base_palm[g[0] - begin, :3, 3] - (T_true_seen @ g[1])[:3, 3])))[0]
+        before, grasps = [f for f in before if f.tick <= at], [g for g in grasps if g[0] <= at]
+    own = [f for f in before if f.accepted and f.T_base_object is not None]
     if not own or not grasps or own[-1].velocity is None:
         return "beliefs not recorded"
     tick, grasp = grasps[-1]
     believed = before[-1].velocity if before[-1].velocity is not None else own[-1].velocity
-    assert own[-1].T_base_object is not None
     grasp = T_true_seen @ grasp
-    off = (T_true_seen @ own[-1].T_base_object)[:3, 3] - seen[own[-1].tick - begin][:3, 3]
-    return {
-        "servo": T_base_palm[:3, 3] - grasp[:3, 3] - believed * (run.close - tick) * CONTROL_S,
-        "tracking": off + rng.normal(0, PLACE_M, 3) * [1, 1, 0.5],
-        "velocity": (believed - velocity) * (run.close - own[-1].tick) * CONTROL_S,
-    }
+    recent = [f for f in own if (own[-1].tick - f.tick) * PERIOD_NS <= DRIFT_NS]
+    off = []
+    for f in recent:
+        assert f.T_base_object is not None
+        off.append((T_true_seen @ f.T_base_object)[:3, 3] - seen[f.tick - begin][:3, 3] - place + rng.normal(0, SIGHTING_M, 3))
+    drift = growth([f.tick * PERIOD_NS for f in recent], off)
+    gain = None if run.close is not None else ServoConfig().c_p_v
+    errors = {"servo": T_base_palm[at - begin, :3, 3] - grasp[:3, 3] - believed * (at - tick) * CONTROL_S}
+    touched = next((k for k in range(begin, at) if run.ticks[k].contact), at)
+    free = (
+        believed
+        if run.close is not None
+        else next(f.velocity for f in reversed(before) if f.tick <= touched and f.velocity is not None)
+    )
+    errors |= carried(off[-1], drift, free - velocity, (at - own[-1].tick) * CONTROL_S, gain)
+    goal = T_end @ invert(seen[tick - begin]) @ grasp
+    goal[:3, 3] += carried_off
+    way = [(T_true_seen @ T)[:3, 3] - T_base_palm[k - begin, :3, 3] for k, T in grasps if k <= touched]
+    gains = gains_of(way, [run.ticks[k].twist[:3] - run.ticks[k].velocity for k, _ in grasps if k <= touched])
+    return Beliefs(errors, goal, gains)
 
 
 def outcome(run: Run, world: World, seed: int) -> str:
@@ -277,7 +299,7 @@ def judge(job: Job) -> dict[str, Any]:
             cause = cause_of(scene, method, job.draws, 0, VerdictConfig().least)
         except ValueError as error:  # as `dgeval.verdict.judge` has it
             cause = Cause("unknown", (0.0, 0.0, 0.0, 1.0), None, None, (), 0.0, method, str(error))
-        blamed = blame_of(cause, scene.errors)
+        blamed = blame_of(cause, scene.beliefs)
         out[method] = {
             "class": cause.failure_class, "p": cause.probabilities, "sub": cause.sub_cause, "shift_s": cause.shift_s,
             "reproduced": cause.reproduced, "seconds": time.process_time() - start,

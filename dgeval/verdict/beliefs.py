@@ -2,10 +2,13 @@
 
 servo: palm against the grasp it was sent to. tracking: its pose of the object against hindsight's when it last saw it.
 velocity: how far the object was carried wrongly since then. Synthesis and execution have no such distance: the first is
-what is left when all of these are taken out, the second is told by the close times that work.
+what is left when all of these are taken out, the second is told by the close times that work. A hand that never closed has
+no close: what counts there is whether the grasp it was sent to would have held, and whether it came to it.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,34 +21,150 @@ from dgeval.recording.trials import GRASP_TOPIC, Trial
 TARGET_TOPIC, VELOCITY_TOPIC = "/dgeval/belief/target_pose", "/dgeval/belief/velocity"
 COMMAND_TOPIC = "/dgeval/belief/twist_command"
 MASK_TOPIC, MODEL_TOPIC = "/dgeval/belief/mask", "/dgeval/belief/model"
+DRIFT_NS, LEAST_SIGHTINGS = 1_000_000_000, 5  # before its last sighting, and how many in it, whose errors tell a drift
+SEEN_NS = 50_000_000  # from a time to the sighting that tells where a pushed object was
+GAIN_LEAST_M = 0.01  # root mean square way, level and upright, over which gains can be told
 MOST_POINTS, ROUNDS, KEPT = 600, 60, 0.8  # of laying hindsight's surface on the robot's model: its trimmed share is used
 
 
-def palm_errors(trial: Trial, hindsight: Hindsight) -> dict[str, Array] | str:
-    """By part, m (3,), base frame, positive as the palm was displaced by it; in words, why nothing can be said."""
+@dataclass(frozen=True)
+class Beliefs:
+    """errors: by part, m (3,), positive as the palm was displaced by it at the close; without one, when nearest to its grasp.
+
+    goal: the palm (4, 4) in the grasp commanded then, on the undisturbed object at the close or the end of the log; None
+    where the object was not seen. It is where the hand would have been without the errors of servo and prediction.
+    gains: 1/s, level and upright, with which the commanded twist went after the grasp up to the first contact; None without
+    commands.
+    """
+
+    errors: dict[str, Array]
+    goal: Array | None
+    gains: tuple[float, float] | None
+
+    def moved(self, T: Array) -> Beliefs:
+        """The same in another frame: T (4, 4) maps points from the old one into it."""
+        errors = {k: T[:3, :3] @ e for k, e in self.errors.items()}
+        return Beliefs(errors, None if self.goal is None else T @ self.goal, self.gains)
+
+
+def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | str:
+    """What the robot believed, base frame; in words, why nothing can be said."""
     close_ns = trial.event_ns("close")
-    if close_ns is None:
-        return "it never closed: there is no decisive instant"
-    grasps, targets = (
-        [p for p in trial.scan.poses.get(topic, []) if p.t_ns <= close_ns] for topic in (GRASP_TOPIC, TARGET_TOPIC)
-    )
-    palm = trial.robot.T_base_palm(close_ns)
+    grasps, targets = trial.scan.poses.get(GRASP_TOPIC, []), trial.scan.poses.get(TARGET_TOPIC, [])
+    at_ns = _nearest_ns(trial, grasps) if close_ns is None else close_ns
+    if at_ns is None:
+        return "beliefs not recorded"
+    grasps, targets = [p for p in grasps if p.t_ns <= at_ns], [p for p in targets if p.t_ns <= at_ns]
+    palm = trial.robot.T_base_palm(at_ns)
     if palm is None or not grasps or len(targets) < 2:
         return "beliefs not recorded"
-    velocities = [v[:3] for t, v in trial.scan.twists.get(VELOCITY_TOPIC, []) if t <= close_ns]
+    velocities = [v[:3] for t, v in trial.scan.twists.get(VELOCITY_TOPIC, []) if t <= at_ns]
     # the grasp was last recorded with a frame; it has moved on with the object since, as the robot believed
     velocity = velocities[-1] if velocities else np.zeros(3)
-    grasp = matrix_from_pose(grasps[-1].pose)[:3, 3] + velocity * (close_ns - grasps[-1].t_ns) * 1e-9
+    grasp = matrix_from_pose(grasps[-1].pose)[:3, 3] + velocity * (at_ns - grasps[-1].t_ns) * 1e-9
     masks = trial.scan.times[MASK_TOPIC].arrays()[0] if MASK_TOPIC in trial.scan.times else np.zeros(0, dtype=np.int64)
     # what it saw itself; between and after it there are predictions
     own = [p for p in targets if not len(masks) or np.abs(masks - p.t_ns).min() <= 1_000_000] or targets
     tracking = _tracking(trial, targets[0], own[-1], hindsight)
     if tracking is None:
-        return "the camera's pose is not known when the robot last saw the object"
+        return "where camera and object were when the robot last saw the object is not known"
     errors = {"servo": palm[:3, 3] - grasp, "tracking": tracking}
-    if velocities:
-        errors["velocity"] = (velocity - hindsight.path.velocity[-1]) * (close_ns - own[-1].t_ns) * 1e-9
-    return errors
+    # what is pushed moves otherwise than before, and the belief follows it
+    free_ns = min(at_ns, *(t for t in (hindsight.contact_ns, hindsight.pushed_ns) if t is not None), at_ns)
+    free = [v[:3] for t, v in trial.scan.twists.get(VELOCITY_TOPIC, []) if t <= (at_ns if close_ns is not None else free_ns)]
+    if free:
+        wrong = free[-1] - hindsight.path.velocity[-1]
+        gain = None if close_ns is not None else trial.config.servo.c_p_v
+        recent = [p for p in own if own[-1].t_ns - p.t_ns <= DRIFT_NS]
+        errors |= carried(tracking, _drift(trial, recent, hindsight), wrong, (at_ns - own[-1].t_ns) * 1e-9, gain)
+    end_ns = trial.pairs[-1][0] if close_ns is None else close_ns
+    return Beliefs(errors, _goal(grasps, hindsight, end_ns), _gains(trial, grasps, free_ns))
+
+
+def gains_of(apart: list[Array], speeds: list[Array]) -> tuple[float, float] | None:
+    """Gains 1/s, level and upright, of commanded speeds (3,) m/s less the target's, by the way to it (3,) m: least squares."""
+    if len(apart) < LEAST_SIGHTINGS:
+        return None
+    e, v = np.array(apart), np.array(speeds)
+    level, upright = float((e[:, :2] ** 2).sum()), float((e[:, 2] ** 2).sum())
+    if min(level, upright) < len(e) * GAIN_LEAST_M**2:
+        return None
+    return float((e[:, :2] * v[:, :2]).sum()) / level, float((e[:, 2] * v[:, 2]).sum()) / upright
+
+
+def _gains(trial: Trial, grasps: list[StampedPose], until_ns: int) -> tuple[float, float] | None:
+    commands, velocities = (trial.scan.twists.get(topic, []) for topic in (COMMAND_TOPIC, VELOCITY_TOPIC))
+    commanded_ns, believed_ns = (np.array([t for t, _ in some], dtype=np.int64) for some in (commands, velocities))
+    apart, speeds = [], []
+    for p in grasps:
+        palm = trial.robot.T_base_palm(p.t_ns)
+        k, n = (int(np.searchsorted(t, p.t_ns, side="right")) - 1 for t in (commanded_ns, believed_ns))
+        if p.t_ns <= until_ns and palm is not None and k >= 0 and n >= 0:
+            apart.append(p.pose[:3] - palm[:3, 3])
+            speeds.append(commands[k][1][:3] - velocities[n][1][:3])
+    return gains_of(apart, speeds)
+
+
+def _nearest_ns(trial: Trial, grasps: list[StampedPose]) -> int | None:
+    """When the palm was nearest to the grasp it was sent to."""
+    apart: list[tuple[float, int]] = []
+    for p in grasps:
+        palm = trial.robot.T_base_palm(p.t_ns)
+        if palm is not None:
+            apart.append((float(np.linalg.norm(palm[:3, 3] - p.pose[:3])), p.t_ns))
+    return min(apart)[1] if apart else None
+
+
+def growth(t_ns: list[int], errors: list[Array]) -> Array:
+    """How fast an error (3,) m grows, m/s (3,), by a straight line through it; 0 with fewer than LEAST_SIGHTINGS."""
+    if len(errors) < LEAST_SIGHTINGS:
+        return np.zeros(3)
+    t = np.array(t_ns, dtype=float) * 1e-9
+    t -= t.mean()
+    return np.asarray(t @ np.array(errors) / (t @ t))
+
+
+def carried(tracking: Array, drift: Array, wrong: Array, seconds: float, gain: float | None) -> dict[str, Array]:
+    """Errors of tracking and velocity at the end, from that of tracking at the last sighting, `seconds` before.
+
+    drift m/s: how fast that grew; what the belief in the velocity is wrong by because of it is tracking's. wrong m/s: the
+    believed velocity less the true one. gain 1/s: of the servo, where the hand never closed: it runs ahead of a grasp, or
+    behind it, by the velocity's error over its gain.
+    """
+    return {"tracking": tracking + drift * seconds, "velocity": (wrong - drift) * (seconds if gain is None else 1.0 / gain)}
+
+
+def _there(hindsight: Hindsight, t_ns: int) -> Array | None:
+    """T_base_model where the object really was: on its path, or where it was seen once it had been pushed off it."""
+    if hindsight.pushed_ns is None or t_ns < hindsight.pushed_ns:
+        return hindsight.path.at(t_ns)
+    near = min(hindsight.sightings, key=lambda s: abs(s.t_ns - t_ns))
+    return near.T_base_model if abs(near.t_ns - t_ns) <= SEEN_NS else None
+
+
+def _goal(grasps: list[StampedPose], hindsight: Hindsight, end_ns: int) -> Array | None:
+    for p in reversed(grasps):
+        there = _there(hindsight, p.t_ns)
+        if there is not None:
+            return hindsight.path.at(end_ns) @ invert(there) @ matrix_from_pose(p.pose)
+    return None
+
+
+def _drift(trial: Trial, own: list[StampedPose], hindsight: Hindsight) -> Array:
+    """How fast the robot's pose of the object left hindsight's over its sightings, m/s (3,)."""
+    centre = hindsight.path.centroid[None]
+    times, errors = [], []
+    T_own_model: Array | None = None  # in the robot's model, by the first of them: only the growth counts
+    for p in own:
+        T_camera, there = trial.robot.T_base_camera(p.t_ns), _there(hindsight, p.t_ns)
+        if T_camera is None or there is None:
+            continue
+        T_base_own = T_camera @ matrix_from_pose(p.pose)
+        if T_own_model is None:
+            T_own_model = invert(T_base_own) @ there
+        times.append(p.t_ns)
+        errors.append(transform(T_base_own @ T_own_model, centre)[0] - transform(there, centre)[0])
+    return growth(times, errors)
 
 
 def _tracking(trial: Trial, first: StampedPose, last: StampedPose, hindsight: Hindsight) -> Array | None:
@@ -55,10 +174,10 @@ def _tracking(trial: Trial, first: StampedPose, last: StampedPose, hindsight: Hi
     laid on hindsight's path, and an error it had from the start can't be seen.
     """
     T_first, T_last = trial.robot.T_base_camera(first.t_ns), trial.robot.T_base_camera(last.t_ns)
-    if T_first is None or T_last is None:
+    there = _there(hindsight, last.t_ns)
+    if T_first is None or T_last is None or there is None:
         return None
     T_base_own = T_last @ matrix_from_pose(last.pose)
-    there = hindsight.path.at(last.t_ns)
     centre = hindsight.path.centroid[None]
     model = _own_model(trial, last.t_ns)
     if model is None:

@@ -13,7 +13,7 @@ from dgeval.physics.closing import CLOSE_S, CONTROL_S, SETTLE_S
 from dgeval.physics.gripper import Gripper, gripper_of
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
-from dgeval.verdict.beliefs import COMMAND_TOPIC, VELOCITY_TOPIC, palm_errors
+from dgeval.verdict.beliefs import COMMAND_TOPIC, VELOCITY_TOPIC, Beliefs, beliefs_of
 
 PERIOD_NS = round(CONTROL_S * 1e9)
 APPROACH_S = 12.0  # before the close, as much of the approach as is looked at
@@ -51,8 +51,7 @@ class Scene:
     free (n, 3) m: its undisturbed displacement by tick from there; velocity (3,) m/s: of the undisturbed object then.
     sd_m, sd_deg: of the object's place and turn at the close, or when the hand was nearest if it never came. close: tick of
     the close command, None if it never came. seen (n, 4, 4): by tick, what moves the object from where it is at the
-    reference to where it was seen, NaN where it was not. errors: what `palm_errors` says of the close, m (3,) each, or why it
-    can't.
+    reference to where it was seen, NaN where it was not. beliefs: the robot's at the reference, or why they are not known.
     """
 
     hand: HandMotion
@@ -64,7 +63,7 @@ class Scene:
     close: int | None
     seen: Array
     gripper: Gripper
-    errors: dict[str, Array] | str
+    beliefs: Beliefs | str
     held: bool = False
 
     @property
@@ -138,7 +137,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         _going(trial, gripper, np.array(hands), T_support_base, end_ns),
         np.array(closing, dtype=float).reshape(-1, len(gripper.drives)),
     )  # fmt: skip
-    errors = palm_errors(trial, hindsight)
+    beliefs = beliefs_of(trial, hindsight)
     return Scene(
         hand,
         points,
@@ -149,7 +148,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         None if close_ns is None else len(kept) - 1,
         _seen(hindsight, T_support_base, hand.t_ns, end_ns),
         gripper,
-        errors if isinstance(errors, str) else {k: T_support_base[:3, :3] @ e for k, e in errors.items()},
+        beliefs if isinstance(beliefs, str) else beliefs.moved(T_support_base),
         held,
     )
 

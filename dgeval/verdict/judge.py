@@ -65,7 +65,7 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
     columns["sub_cause"] = cause.sub_cause
     links = [s.contact_link for s in cause.samples if s.contact_link]
     link = max(sorted(set(links)), key=links.count) if links else hindsight.contact_link
-    blame = blame_of(cause, scene.errors)
+    blame = blame_of(cause, scene.beliefs)
     columns["blame"], columns["belief_source"] = blame.term, blame.source
     columns["p_blame"] = blame.probability if blame.term != "unknown" else None
     columns["evidence"] = sentence(trial, hindsight, ended, cause, link)
@@ -73,6 +73,8 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
         notes.append(f"blame unknown: {blame.why_unknown}")
     elif blame.term != "execution":
         notes.append("blame: " + ", ".join(f"{k} {v * 1000:.0f} mm" for k, v in blame.sizes.items()))
+        if not isinstance(scene.beliefs, str) and scene.beliefs.gains is not None:
+            notes.append("commanded to the grasp with {:.2f}/s level and {:.2f}/s upright".format(*scene.beliefs.gains))
     if scene.held:
         notes.append("verdict: someone holds the object; it is assumed to be let go once two fingers press it for 0.1 s")
     notes.append(f"verdict: {cause.instrument}, {len(cause.samples)} draws, {cause.reproduced:.0%} reproduce the failure")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from dgeval.geometry import Array, rotation_vector
+from dgeval.geometry import Array, invert, rotation_vector
 from dgeval.physics.closing import (
     AFTER_CLOSE_S,
     CLOSE_S,
@@ -46,7 +46,8 @@ class Sample:
     """What one draw of place, turn and friction says. `reproduced`: the recorded failure happens in it too.
 
     weight: how well it agrees with the log, against the other draws. restored: of the palm's errors by part, whether the
-    approach without that one alone lifts the object; "all": without any.
+    approach without that one alone lifts the object; "all": without any; "goal": of a hand that never closed, whether the
+    grasp it was sent to would have held.
     """
 
     verdict: Verdict
@@ -329,12 +330,25 @@ class Twin:
         self._moved = np.zeros(3)
         return works
 
+    def _goal(self) -> dict[str, bool]:
+        """Of a hand that never closed, whether the grasp it was sent to would have held."""
+        beliefs, end = self.scene.beliefs, self.scene.reference
+        if isinstance(beliefs, str) or beliefs.goal is None or self.scene.close is not None:
+            return {}
+        T = beliefs.goal @ invert(self.gripper.T_hand_palm)
+        T[:3, 3] += self._shift
+        self.at(end)
+        self._put_hand(T, self.scene.velocity, np.zeros(3))
+        mujoco.mj_forward(self.model, self.data)
+        inside = self.touching()[1] > Thresholds().overlap_m
+        return {"goal": not inside and self.close(T, self.scene.velocity, self.scene.hand.fingers[end])[0]}
+
     def decide(self, thresholds: Thresholds, reproduced: bool, weight: float) -> Sample:
         """After `approach`: the curve of close times, the rule over it, and the approach without what put the palm off."""
         scene, end, made = self.scene, self.scene.reference, self._approached
         if made is None:
             facts = Facts(scene.close is not None, 0.0, 0.0, (), None, 0.0)
-            return Sample(Verdict("imprecise_pose", "missed"), facts, scene.close is None, weight, {}, None, None)
+            return Sample(Verdict("imprecise_pose", "missed"), facts, scene.close is None, weight, self._goal(), None, None)
         contact = made.contact
         tried = self._earlier(made.states, min(made.states), contact)
         if scene.close is not None:
@@ -356,8 +370,10 @@ class Twin:
                 works = self.close(self.hand_at(k), scene.hand.velocity[k], scene.hand.fingers[k])[0]
                 facts = replace(facts, overlap_m=overlap, put_back=works)
         restored: dict[str, bool] = {}
-        if answer.failure_class != "timing" and not isinstance(scene.errors, str):
-            parts = {k: e for k, e in scene.errors.items() if np.linalg.norm(e) > ERROR_LEAST_M}
+        if scene.close is None:
+            restored = self._goal()
+        elif answer.failure_class != "collision" and not isinstance(scene.beliefs, str):
+            parts = {k: e for k, e in scene.beliefs.errors.items() if np.linalg.norm(e) > ERROR_LEAST_M}
             restored = {k: self.without(e) for k, e in parts.items()}
             if len(parts) > 1 and not any(restored.values()):
                 restored["all"] = self.without(np.sum(list(parts.values()), axis=0))
