@@ -9,6 +9,7 @@ sightings say what it really did. Nothing here reads the truth or the robot's be
 from __future__ import annotations
 
 from bisect import bisect_left, insort
+from collections import deque
 from dataclasses import dataclass
 from typing import Literal
 
@@ -38,6 +39,8 @@ OFF_PATH_M, OFF_PATH_RAD, OFF_PATH_COUNT = 0.006, 0.12, 3  # sightings in a row 
 PUSHING_M = 0.030  # m; hand to the sighted object, when it leaves its path
 MIN_COLOUR = 12  # features
 CARRIED_S, APART_M = 1.0, 0.01  # a sighting is a prior for so long, where it is so far from the others
+MOST_MISSED = 45  # frames kept to be gone through backwards
+BACKWARD_NS = 250_000_000  # from one frame to the one before it, in going backwards
 RISEN_M, HELD_M = 0.05, 0.015  # the palm off its place at the close; the object off its place in the palm
 
 
@@ -166,12 +169,21 @@ def look_back(trial: Trial, seen: list[Seen], surface: Surface, perception: Perc
         for s in seen
         if attempt and s.t_ns not in known and -WINDOW_BEFORE_S <= (s.t_ns - end_ns) * 1e-9 <= WINDOW_AFTER_S
     }
+    missed: deque[Frame] = deque(maxlen=MOST_MISSED)
     for frame in trial.frames() if wanted else ():
-        if frame.index in wanted:
-            priors = _priors(frame.t_ns, path, sightings, trial, end_ns)
-            sighting = _look(frame, wanted[frame.index], tracker, model, priors, config)
-            if sighting is not None:
-                insort(sightings, sighting, key=lambda s: s.t_ns)
+        if frame.index not in wanted:
+            continue
+        here: Frame | None = frame
+        while here is not None:
+            # found again, it is followed backwards through the frames before, until one where it is not
+            priors = _priors(here.t_ns, path, sightings, trial, end_ns)
+            sighting = _look(here, wanted[here.index], tracker, model, priors, config)
+            if sighting is None:
+                if here is frame:
+                    missed.append(frame)
+                break
+            insort(sightings, sighting, key=lambda s: s.t_ns)
+            here = missed.pop() if missed and here.t_ns - missed[-1].t_ns < BACKWARD_NS else None
     path, pushed_ns = _free_path(trial, sightings, model, centroid, end_ns)
     moments = _moments(trial, seen, path, sightings, model, pushed_ns, end_ns) if attempt else ()
     contact = next((m for m in moments if m.t_ns <= end_ns and m.distance is not None and m.distance < CONTACT_M), None)

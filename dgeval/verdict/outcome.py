@@ -16,6 +16,8 @@ AFTER_S = 1.0  # after the close, from which fingers at rest tell what they hold
 LAST_S = 0.5  # of the log, over which efforts are judged
 HELD_M = 0.002  # between closed jaws; walls of cups are 3 mm and more
 HELD_NM = 0.05  # mean effort of a finger's flexion joints that presses on something; empty ones show up to 0.01
+IN_HAND_M, AWAY_M = 0.04, 0.10  # from the object's middle to the hand
+STEADY_M = 0.02  # half of the sightings after the lift agree on the height to within that, or say nothing
 LEFT_BEHIND_M, CARRIED_M = 0.05, 0.05  # m: rise below which a sighted object was left, above which it came along
 
 
@@ -102,12 +104,15 @@ def _seen_after(trial: Trial, hindsight: Hindsight | None, close_ns: int) -> tup
     rest = float(hindsight.support.height((hindsight.path.at(close_ns) @ np.append(centre, 1.0))[:3]))
     rises = [float(hindsight.support.height((s.T_base_model @ np.append(centre, 1.0))[:3])) - rest for s in later]
     rise = float(np.median(rises))
+    if float(np.median(np.abs(np.subtract(rises, rise)))) > STEADY_M:
+        return None  # taken for something else from frame to frame
     at = (later[-1].t_ns - close_ns) * 1e-9
+    near = hand_distance(trial, later[-1].t_ns, transform(later[-1].T_base_model, centre[None]))
     if rise < LEFT_BEHIND_M:
-        near = hand_distance(trial, later[-1].t_ns, transform(later[-1].T_base_model, centre[None]))
-        if near is not None and near[0] < 0.04:
+        if near is not None and near[0] < IN_HAND_M:
             return None
         return False, f"the object is seen left on its support {at:.1f} s after the close"
-    if rise > CARRIED_M:
+    # what was taken for the object high up and away from the hand is something else, or in someone else's
+    if rise > CARRIED_M and (near is None or near[0] < AWAY_M):
         return True, f"the object is seen {rise * 100:.0f} cm up, {at:.1f} s after the close"
     return None
