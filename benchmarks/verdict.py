@@ -35,7 +35,7 @@ from dgeval.simulation.perception import ModelledPerception
 from dgeval.simulation.record import EFFORT_NOISE, JOINT_NOISE
 from dgeval.simulation.scenario import Plan, load_scenario
 from dgeval.simulation.trial import Run, run_trial
-from dgeval.simulation.truth import prove
+from dgeval.simulation.truth import Prover, prove
 from dgeval.simulation.world import World, matrix_of, twin_path
 from dgeval.taxonomy import HANDED_OVER, Thresholds
 from dgeval.verdict.beliefs import DRIFT_NS, Beliefs, carried, gains_of, growth
@@ -241,7 +241,10 @@ def causal_guess(run: Run, world: World) -> str:
 
 @dataclass(frozen=True)
 class Job:
-    """One trial to judge. unrefined: the jaw gripper takes the seed as it is, which fails more often."""
+    """One trial to judge. unrefined: the jaw gripper takes the seed as it is, which fails more often.
+
+    pushed: only failures in which the object was off its path before the close, which collisions are among, are judged.
+    """
 
     scenario: str
     seed: int
@@ -251,6 +254,7 @@ class Job:
     methods: tuple[str, ...]
     blame: bool
     unrefined: bool
+    pushed: bool
 
 
 def judge(job: Job) -> dict[str, Any]:
@@ -283,6 +287,10 @@ def judge(job: Job) -> dict[str, Any]:
         return out
     scale = about.get("labels", 1.0)
     th = HANDED_OVER if world.presenter is not None else Thresholds()
+    if job.pushed:
+        metres, degrees = Prover(run, world).displacement()
+        if metres.max() <= th.moved_m and degrees.max() <= th.moved_deg:
+            return out
     truth = prove(
         run, world, Thresholds(th.moved_m * scale, th.moved_deg * scale, th.overlap_m * scale, 2, th.unstable_m * scale)
     )
@@ -403,6 +411,7 @@ def main() -> None:
     parser.add_argument("--method", action="append", choices=["twin", "geometry"])
     parser.add_argument("--blame", type=int, default=0, help="of so many first trials also find and score the fault to blame")
     parser.add_argument("--unrefined", action="store_true", help="VFAS-Grasp's scenarios with the seed executed as it is")
+    parser.add_argument("--pushed", action="store_true", help="only failures in which the object was pushed before the close")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--tables", action="store_true", help="only print the tables of an earlier run's rows again")
     parser.add_argument("--out", type=Path, default=RESULTS / "verdict.md", help="with a .jsonl of all rows beside it")
@@ -413,7 +422,17 @@ def main() -> None:
     methods = tuple(m for m in methods if not rows or any(m in r for r in rows))
     if not options.tables:
         jobs = [
-            Job(options.scenario, options.seed, k, variant, options.draws, methods, k < options.blame, options.unrefined)
+            Job(
+                options.scenario,
+                options.seed,
+                k,
+                variant,
+                options.draws,
+                methods,
+                k < options.blame,
+                options.unrefined,
+                options.pushed,
+            )
             for variant in options.variant or ["as simulated"]
             for k in range(options.first, options.trials)
         ]
@@ -429,6 +448,7 @@ def main() -> None:
     command = f"python -m benchmarks.verdict --scenario {rows[0].get('scenario', 'failures')} --seed {rows[0]['seed']}"
     command += f" --trials {len(rows) // len(ran)} --draws {options.draws}"
     command += (f" --blame {options.blame}" if options.blame else "") + (" --unrefined" if options.unrefined else "")
+    command += " --pushed" if options.pushed else ""
     title = "Verdicts on simulated failures that set nothing"
     print(write(options.out.stem, title, command, parts, options.out.parent).read_text(encoding="utf-8"))
 

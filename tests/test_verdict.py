@@ -13,8 +13,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from benchmarks.verdict import scene_from
-from dgeval.geometry import increment, transform
-from dgeval.hindsight import Surface, _priors
+from dgeval.config import Config
+from dgeval.geometry import Array, increment, transform
+from dgeval.hindsight import Seen, Surface, _priors, look_back
 from dgeval.physics.objects import ObjectModel, surface_points, ten_objects
 from dgeval.physics.shape import solid_from_cloud
 from dgeval.recording.messages import StampedPose
@@ -23,9 +24,11 @@ from dgeval.report.summary import failure_shares, published, read_truth, success
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, load_scenario
+from dgeval.stages.plane import Plane
 from dgeval.stages.smoothing import Path as ObjectPath
 from dgeval.stages.smoothing import Sighting, smooth
 from dgeval.stages.types import Model
+from dgeval.verdict import outcome
 from dgeval.verdict.beliefs import Beliefs, beliefs_of, gains_of, growth, laid_on
 from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import CLASSES, Cause, cause_of
@@ -285,6 +288,59 @@ def test_a_pushed_object_is_looked_for_where_it_was_and_will_be_seen() -> None:
     trial = SimpleNamespace(robot=SimpleNamespace(T_base_palm=lambda _: None))
     found = _priors(2 * seconds, path, sightings, trial, 3 * seconds)  # type: ignore[arg-type]
     np.testing.assert_allclose([T[:3, 3] for T in found], [[0.0, 0.2, 0.0], [0.03, 0.2, 0.0], [0.06, 0.18, 0.0]], atol=1e-9)
+
+
+def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a second pass that goes forward only: thrown off its path, the object is found late and was there before."""
+    step = 33_000_000
+
+    def true(k: int) -> Array:
+        T = np.eye(4)
+        # still until frame 20; then it moves 15 mm a frame, and from frame 30 on lies 15 cm off, for frame 35 to find
+        T[0, 3] = 0.015 * min(max(k - 20, 0), 10)
+        return T
+
+    seen = [Seen(k, k * step, np.eye(4), true(k) if k < 20 else None, None, 0, 0, None) for k in range(40)]
+    frames = [SimpleNamespace(index=k, t_ns=k * step) for k in range(40)]
+    trial = SimpleNamespace(
+        frames=lambda: iter(frames), event_ns=lambda _: None, scan=SimpleNamespace(poses={"/dgeval/belief/grasp": [1]}),
+        robot=SimpleNamespace(T_base_palm=lambda _: None, hand_shapes=lambda _: None, T_base_camera=lambda _: None),
+    )  # fmt: skip
+
+    def look(frame, seen, tracker, model, priors, config):
+        there = true(frame.index)
+        known = frame.index >= 35 or any(np.linalg.norm(p[:3, 3] - there[:3, 3]) < 0.02 for p in priors)
+        # between 20 and 22 nothing can be seen, so that going forward loses it
+        return Sighting(frame.t_ns, there, "registration", True) if known and not 20 <= frame.index <= 22 else None
+
+    monkeypatch.setattr("dgeval.hindsight._look", look)
+    monkeypatch.setattr("dgeval.hindsight._moments", lambda *_: ())
+    surface = Surface()
+    surface.add(Model(np.random.default_rng(0).normal(0, 0.02, (50, 3)), np.tile([0.0, 0.0, 1.0], (50, 1))))
+    found = look_back(trial, seen, surface, SimpleNamespace(tracker=None), Config())  # type: ignore[arg-type]
+    assert found is not None
+    assert [s.t_ns // step for s in found.sightings] == [*range(20), *range(23, 40)]
+
+
+def test_what_is_seen_high_up_but_away_from_the_hand_was_not_lifted(monkeypatch: pytest.MonkeyPatch) -> None:
+    second = 1_000_000_000
+    path = SimpleNamespace(centroid=np.zeros(3), at=lambda _: np.eye(4))
+
+    def said(heights: list[float], apart: float) -> object:
+        places = []
+        for k, z in enumerate(heights):
+            T = np.eye(4)
+            T[2, 3] = z
+            places.append(Sighting(2 * second + k * second // 30, T, "registration", True))
+        hindsight = SimpleNamespace(path=path, support=Plane(np.array([0.0, 0.0, 1.0]), 0.0, 1.0), sightings=places)
+        monkeypatch.setattr("dgeval.verdict.outcome.hand_distance", lambda *_: (apart, "index_3"))
+        return outcome._seen_after(SimpleNamespace(), hindsight, 0)  # type: ignore[arg-type]
+
+    assert said([0.2] * 6, 0.02) == (True, "the object is seen 20 cm up, 2.2 s after the close")
+    assert said([0.2] * 6, 0.16) is None
+    assert said([0.0, 0.3, 0.1, 0.2, 0.4, 0.05], 0.02) is None  # something else in every frame
+    assert said([0.0] * 6, 0.16) == (False, "the object is seen left on its support 2.2 s after the close")
+    assert said([0.0] * 6, 0.02) is None  # the hand is still at it
 
 
 @pytest.mark.parametrize("masked", [True, False])
