@@ -38,7 +38,7 @@ from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import Prover, prove
 from dgeval.simulation.world import World, matrix_of, twin_path
 from dgeval.taxonomy import HANDED_OVER, Thresholds
-from dgeval.verdict.beliefs import DRIFT_NS, Beliefs, carried, gains_of, growth
+from dgeval.verdict.beliefs import BEFORE_PUSH_NS, DRIFT_NS, Beliefs, carried, gains_of, growth, steady
 from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import CLASSES, Cause, cause_of
 from dgeval.verdict.evidence import APPROACH_S, CLOSING, PERIOD_NS, HandMotion, Scene, of_hand
@@ -192,17 +192,18 @@ def beliefs(
     drift = growth([f.tick * PERIOD_NS for f in recent], off)
     gain = None if run.close is not None else ServoConfig().c_p_v
     errors = {"servo": T_base_palm[at - begin, :3, 3] - grasp[:3, 3] - believed * (at - tick) * CONTROL_S}
-    touched = next((k for k in range(begin, at) if run.ticks[k].contact), at)
-    free = (
-        believed
-        if run.close is not None
-        else next(f.velocity for f in reversed(before) if f.tick <= touched and f.velocity is not None)
-    )
-    errors |= carried(off[-1], drift, free - velocity, (at - own[-1].tick) * CONTROL_S, gain)
+    touched = next((k for k in range(begin, at) if run.ticks[k].contact), at + BEFORE_PUSH_NS // PERIOD_NS)
+    until = min(at, touched - BEFORE_PUSH_NS // PERIOD_NS)
+    velocities = [(f.tick * PERIOD_NS, f.velocity) for f in before if f.velocity is not None]
+    free = [believed] if run.close is not None else steady(velocities, until * PERIOD_NS)
+    if free:
+        errors |= carried(off[-1], drift, free[-1] - velocity, (at - own[-1].tick) * CONTROL_S, gain)
+    else:
+        errors["tracking"] = off[-1]
     goal = T_end @ invert(seen[tick - begin]) @ grasp
     goal[:3, 3] += carried_off
-    way = [(T_true_seen @ T)[:3, 3] - T_base_palm[k - begin, :3, 3] for k, T in grasps if k <= touched]
-    gains = gains_of(way, [run.ticks[k].twist[:3] - run.ticks[k].velocity for k, _ in grasps if k <= touched])
+    way = [(T_true_seen @ T)[:3, 3] - T_base_palm[k - begin, :3, 3] for k, T in grasps if k <= until]
+    gains = gains_of(way, [run.ticks[k].twist[:3] - run.ticks[k].velocity for k, _ in grasps if k <= until])
     return Beliefs(errors, goal, gains)
 
 

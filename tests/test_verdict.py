@@ -363,7 +363,8 @@ def test_what_put_the_palm_off_is_told_apart(masked: bool, closed: bool) -> None
     palm = np.eye(4)
     palm[:3, 3] = [0.003, 0.21, 0.7]
     times = {"/dgeval/belief/mask": SimpleNamespace(arrays=lambda: (np.array([p.t_ns for p in own]), None))} if masked else {}
-    twists = {"/dgeval/belief/velocity": [(round(1.9 * seconds), np.array([0.0, 0.12, 0.0, 0, 0, 0]))]}
+    believed = [(round(t * seconds), np.array([0.0, 0.12, 0.0, 0, 0, 0])) for t in np.arange(0.4, 1.95, 0.1)]
+    twists = {"/dgeval/belief/velocity": believed}
     grasps = [stamped(0.5, 0.2, 0.1, 0.7), stamped(1.97, 0.0, 0.2, 0.7)]
     trial = SimpleNamespace(
         event_ns=lambda _: 2 * seconds if closed else None, opened=SimpleNamespace(topics={}), pairs=[(3 * seconds, 0)],

@@ -23,6 +23,7 @@ COMMAND_TOPIC = "/dgeval/belief/twist_command"
 MASK_TOPIC, MODEL_TOPIC = "/dgeval/belief/mask", "/dgeval/belief/model"
 DRIFT_NS, LEAST_SIGHTINGS = 1_000_000_000, 5  # before its last sighting, and how many in it, whose errors tell a drift
 SEEN_NS = 50_000_000  # from a time to the sighting that tells where a pushed object was
+BEFORE_PUSH_NS, STEADY_NS = 300_000_000, 500_000_000  # a push is told late; over which a believed velocity is taken
 GAIN_LEAST_M = 0.01  # root mean square way, level and upright, over which gains can be told
 MOST_POINTS, ROUNDS, KEPT = 600, 60, 0.8  # of laying hindsight's surface on the robot's model: its trimmed share is used
 
@@ -70,8 +71,8 @@ def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | str:
         return "where camera and object were when the robot last saw the object is not known"
     errors = {"servo": palm[:3, 3] - grasp, "tracking": tracking}
     # what is pushed moves otherwise than before, and the belief follows it
-    free_ns = min(at_ns, *(t for t in (hindsight.contact_ns, hindsight.pushed_ns) if t is not None), at_ns)
-    free = [v[:3] for t, v in trial.scan.twists.get(VELOCITY_TOPIC, []) if t <= (at_ns if close_ns is not None else free_ns)]
+    free_ns = min(at_ns, *(t - BEFORE_PUSH_NS for t in (hindsight.contact_ns, hindsight.pushed_ns) if t is not None), at_ns)
+    free = velocities[-1:] if close_ns is not None else steady(trial.scan.twists.get(VELOCITY_TOPIC, []), free_ns)
     if free:
         wrong = free[-1] - hindsight.path.velocity[-1]
         gain = None if close_ns is not None else trial.config.servo.c_p_v
@@ -79,6 +80,12 @@ def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | str:
         errors |= carried(tracking, _drift(trial, recent, hindsight), wrong, (at_ns - own[-1].t_ns) * 1e-9, gain)
     end_ns = trial.pairs[-1][0] if close_ns is None else close_ns
     return Beliefs(errors, _goal(grasps, hindsight, end_ns), _gains(trial, grasps, free_ns))
+
+
+def steady(twists: list[tuple[int, Array]], until_ns: int) -> list[Array]:
+    """The median velocity (3,) m/s over STEADY_NS up to a time; empty where the filter had not gone on for as long before."""
+    recent = [v[:3] for t, v in twists if until_ns - STEADY_NS <= t <= until_ns]
+    return [np.median(recent, axis=0)] if recent and twists[0][0] <= until_ns - 2 * STEADY_NS else []
 
 
 def gains_of(apart: list[Array], speeds: list[Array]) -> tuple[float, float] | None:

@@ -20,7 +20,7 @@ from dgeval.verdict.twin import Sample
 ENOUGH = 0.5  # weighted share of the draws in which it must restore success
 TOLERANCE_M = 0.007  # five of six grasps survive 4 mm and 3 degrees, and hindsight is off by 2 to 4: less put nothing wrong
 NEVER_CLOSED_M = 0.012  # likewise of a hand that never closed, where nothing is tried again without it
-GAIN_LEAST, GAINS_APART = 0.25, 1.6  # 1/s; upright over level, or the other way round
+GAIN_LEAST, GAINS_APART = 0.15, 1.6  # 1/s; upright over level, or the other way round
 HUGE = 5.0  # times the tolerance; of a part that is to blame though the twin does not hold without it
 ALONE = 0.7  # stated where a part is blamed because it alone is off; chosen on development trials
 
