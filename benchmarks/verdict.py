@@ -44,7 +44,8 @@ from dgeval.verdict.causes import CLASSES, Cause, cause_of
 from dgeval.verdict.evidence import APPROACH_S, CLOSING, PERIOD_NS, HandMotion, Scene, of_hand
 from dgeval.verdict.outcome import LAST_S, between_jaws, grip
 
-from benchmarks.result import RESULTS, write
+from benchmarks.result import RESULTS, table, write
+from benchmarks.simulation import PUBLISHED, rates
 
 AWAY_M, JUMP_M = 0.015, 0.010  # m, of the baseline on the causal pass; not fitted to anything
 PLACE_M, TURN_DEG, SIGHTING_M, CLOUD_M, VELOCITY = 0.002, 2.0, 0.001, 0.0012, 0.001
@@ -401,6 +402,31 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
     return "\n".join(lines)
 
 
+def beside_the_paper(rows: list[dict[str, Any]], method: str, paper: dict[str, Any]) -> str:
+    """Success by speed and object, and the failures' shares by truth and by verdict, of a scenario that a paper has too."""
+    ended = [
+        {"verdict": {"failure_class": r.get("truth") or (None if r["outcome"] == "success" else "not begun"), **r}}
+        for r in rows
+    ]
+    failed = [r for r in rows if "truth" in r]
+    lines = []
+    for c in (*CLASSES, "unknown"):
+        cells = []
+        for said in ([r["truth"] for r in failed], [r[method]["class"] for r in failed]):
+            k = said.count(c)
+            low, high = wilson(k, len(said))
+            cells.append(f"{k}/{len(said)} = {k / max(len(said), 1):.0%} [{low:.0%}, {high:.0%}]")
+        share = paper["printed"]["failures"].get(c)
+        lines.append([c, *cells, "–" if share is None else f"{share} %"])
+    never = sum(not r["closed"] for r in rows)
+    return "\n\n".join([
+        *([rates(ended, paper, "speed")] if len({r["speed"] for r in rows}) > 1 else []),
+        rates(ended, paper, "object"),
+        f"{never} of {len(rows)} hands never closed.",
+        table(["failures", "by truth", f"by the {method}", "paper"], lines),
+    ])  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenario", default="failures")
@@ -446,7 +472,10 @@ def main() -> None:
                 file.flush()
     ran = [v for v in VARIANTS if any(r["variant"] == v for r in rows)]
     parts = [f"## {v}\n\n{tables([r for r in rows if r['variant'] == v], methods)}" for v in ran]
-    command = f"python -m benchmarks.verdict --scenario {rows[0].get('scenario', 'failures')} --seed {rows[0]['seed']}"
+    scenario = rows[0].get("scenario", "failures")
+    if scenario in PUBLISHED and "printed" in PUBLISHED[scenario]:
+        parts.append("## Beside the paper\n\n" + beside_the_paper(rows, methods[0], PUBLISHED[scenario]))
+    command = f"python -m benchmarks.verdict --scenario {scenario} --seed {rows[0]['seed']}"
     command += f" --trials {len(rows) // len(ran)} --draws {options.draws}"
     command += (f" --blame {options.blame}" if options.blame else "") + (" --unrefined" if options.unrefined else "")
     command += " --pushed" if options.pushed else ""

@@ -552,6 +552,18 @@ def test_wilson_is_the_closed_form() -> None:
     assert wilson(0, 0) == (0.0, 1.0)
 
 
+@pytest.mark.parametrize("n", [0, 3, 19])
+def test_too_few_points_have_no_shape_and_say_so(n: int) -> None:
+    """Catches a verdict that ends a run: what fell off its support leaves no point over it."""
+    with pytest.raises(ValueError, match=f"{n} points of the object"):
+        solid_from_cloud(np.random.default_rng(0).normal(0, 0.02, (n, 3)))
+
+
+def test_points_without_neighbours_have_a_shape() -> None:
+    points = np.random.default_rng(0).uniform(0, 1, (40, 3))  # far apart: all of them are strays
+    assert min(solid_from_cloud(points)[0].extent()) > 0.5
+
+
 def test_scores_on_a_known_matrix() -> None:
     truth = ["imprecise_pose"] * 4 + ["collision"] * 4 + ["timing"] * 2
     said = ["imprecise_pose"] * 3 + ["timing"] + ["collision"] * 4 + ["timing", "unknown"]

@@ -24,6 +24,7 @@ BALL_RMS, BALL_SHARE = 0.002, 0.9  # m; residual of the best sphere, and share o
 BOX_OFF, FACE_POINTS = 0.0016, 12  # m; mean distance from the faces of the best upright box; points that place a face
 RIM, RIM_OFF, WALL, OUTSIDE = 0.012, 0.005, 0.004, 0.007  # m; of vessels: the band that is fitted, how far from a circle
 SMOOTHED = 0.010  # m; neighbourhood of a plane: 1.2 mm of noise, as hindsight has it, leaves hulls 0.5 to 1 mm too large
+LEAST_POINTS = 20
 CELL, LIKE_HEIGHT = 0.007, 0.008  # m; columns of hollow things, and heights that one column may stand for
 HOLLOW_DEPTH, HOLLOW_SHARE = 0.010, 0.12  # m under the hull's top; share of the footprint's cells that are lower
 
@@ -35,6 +36,8 @@ def solid_from_cloud(points: Array, name: str = "cloud", held: bool = False) -> 
     ValueError where the points span no volume. held: nothing is known of what is below the lowest of them, they are not
     carried down further.
     """
+    if len(points) < LEAST_POINTS:
+        raise ValueError(f"{len(points)} points of the object over its support have no shape")
     inliers = _without_strays(points)
     if held:
         low = np.array([0.0, 0.0, float(inliers[:, 2].min())])
@@ -74,9 +77,11 @@ def _without_strays(points: Array) -> Array:
     """Points with enough neighbours: flying pixels and remains of the hand would swell the hull."""
     count = cKDTree(points).query_ball_point(points, 0.008, return_length=True)
     kept = points[count >= max(4, 0.25 * float(np.median(count)))]
+    if len(kept) < LEAST_POINTS:
+        return points
     low, high = np.quantile(kept, [0.003, 0.997], axis=0)
     kept = kept[((kept >= low) & (kept <= high)).all(axis=1)]
-    return kept if len(kept) >= 20 else points
+    return kept if len(kept) >= LEAST_POINTS else points
 
 
 def _smoothed(points: Array) -> Array:
