@@ -29,7 +29,7 @@ from dgeval.stages.smoothing import Path as ObjectPath
 from dgeval.stages.smoothing import Sighting, smooth
 from dgeval.stages.types import Model
 from dgeval.verdict import outcome
-from dgeval.verdict.beliefs import Beliefs, beliefs_of, gains_of, growth, laid_on
+from dgeval.verdict.beliefs import Beliefs, beliefs_of, gains_of, growth, laid_on, steady
 from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import CLASSES, Cause, cause_of
 from dgeval.verdict.evidence import of_hand
@@ -247,6 +247,10 @@ def test_gains_of_a_servo_and_growth_of_an_error() -> None:
     times = [k * 33_000_000 for k in range(10)]
     np.testing.assert_allclose(growth(times, [np.array([0.001, 0.03 * t * 1e-9, 0.0]) for t in times]), [0, 0.03, 0], atol=1e-9)
     np.testing.assert_array_equal(growth(times[:3], [np.ones(3)] * 3), np.zeros(3))
+    # the belief before a push at 2 s, after which it follows what is pushed
+    twists = [(k * 100_000_000, np.array([0.0, 0.1 if k < 20 else 0.5, 0, 0, 0, 0])) for k in range(30)]
+    np.testing.assert_allclose(steady(twists, 1_900_000_000), [[0.0, 0.1, 0.0]])
+    assert steady(twists, 900_000_000) == []  # the filter has not settled
 
 
 def test_fingers_that_close_elsewhere_tell_a_wrong_place(tmp_path: Path) -> None:
