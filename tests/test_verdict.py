@@ -360,7 +360,7 @@ def test_what_put_the_palm_off_is_told_apart(masked: bool, closed: bool) -> None
     # object last at 1.8 s, 4 mm ahead of where it is
     path = ObjectPath(
         np.array([0, 2 * seconds]), np.array([[0, 0, 0.5], [0, 0.2, 0.5]]), np.tile([0.0, 0.1, 0.0], (2, 1)), np.zeros(2), 0.0,
-        np.eye(3), 0.0, np.array([0.01, 0.0, 0.0]),
+        Rotation.from_euler("z", 30, degrees=True).as_matrix(), 0.0, np.array([0.01, 0.0, 0.0]),
     )  # fmt: skip
     own = [stamped(0.0, 0.0, 0.0), *(stamped(t, 0.0, 0.1 * t + 0.004 - 0.01 * (1.8 - t)) for t in np.arange(0.9, 1.85, 0.1))]
     predicted = [stamped(1.9, 0.0, 0.19 + 0.006)]
