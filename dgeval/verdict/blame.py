@@ -56,7 +56,8 @@ def blame_of(cause: Cause, beliefs: Beliefs | str) -> Blame:
         # a hand that closes before it is there is off its grasp because of that
         large = [k for k in large if k != "servo"]
     restoring = [k for k in large if shares[k] > ENOUGH]
-    if _wrong_law(beliefs) and all(sizes[k] < 2 * TOLERANCE_M for k in restoring):
+    huge = [k for k in large[:1] if sizes[k] > HUGE * TOLERANCE_M and all(sizes[k] > 2.0 * sizes[n] for n in large[1:])]
+    if _wrong_law(beliefs) and not huge and all(sizes[k] < 2 * TOLERANCE_M for k in restoring):
         return Blame("servo", ALONE, sizes, "recorded")
     # where only all together restore success and one of them is far larger than the rest, it is that one
     for parts, clearly, share in ((restoring, 1.5, shares), (large if shares["all"] > ENOUGH else [], 2.0, {})):
@@ -64,9 +65,9 @@ def blame_of(cause: Cause, beliefs: Beliefs | str) -> Blame:
             return Blame(parts[0], share.get(parts[0], shares["all"]), sizes, "recorded")
     if restoring:
         return Blame("unknown", 0.0, sizes, "recorded", f"removing any of {', '.join(sorted(restoring))} alone would do")
-    if large and sizes[large[0]] > HUGE * TOLERANCE_M and (len(large) == 1 or sizes[large[0]] > 2.0 * sizes[large[1]]):
+    if huge:
         # by so much the approach can't be displaced and still be like the recorded one
-        return Blame(large[0], ALONE, sizes, "recorded")
+        return Blame(huge[0], ALONE, sizes, "recorded")
     if cause.failure_class == "timing":
         return Blame("execution", max(cause.probabilities), {"execution": abs(cause.shift_s or 0.0)}, "recorded")
     if large:
