@@ -140,6 +140,9 @@ class GraspsConfig(Section):
     support_z: float | None = Field(
         None, description="m in the base frame; candidates whose hand reaches deeper below it are left out (ours)"
     )
+    way_m: float = Field(
+        0.0, ge=0, description="m before a grasp over which the hand's straight way to it must be free of the model too (ours)"
+    )
     generator: str | None = Field(None, description="weights, .safetensors or the authors' *_gen_net.pt; default: shipped")
     evaluator: str | None = Field(None, description="weights, .safetensors or the authors' *_eva_net.pt; default: shipped")
 
@@ -279,6 +282,8 @@ class Config(Section):
         out = []
         if self.selection.keep_margin:
             out.append(f"a chosen grasp is kept until another's metric is better by {self.selection.keep_margin:g}")
+        if self.grasps.way_m:
+            out.append(f"the last {100 * self.grasps.way_m:g} cm of the way to a grasp are free of the model")
         if self.servo.beyond_m:
             out.append(f"the hand is sent {1e3 * self.servo.beyond_m:g} mm beyond the grasp")
         if self.execution.arrived_m is not None:

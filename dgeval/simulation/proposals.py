@@ -14,7 +14,7 @@ from dgeval.geometry import Array, invert, rotation_angle
 from dgeval.simulation.grasps import KnownGrasp
 from dgeval.simulation.perception import Sight
 from dgeval.simulation.scenario import EvaluatorConfig
-from dgeval.stages.grasping import EncodedCloud, Networks, encode_cloud, evaluate, free_of, overlap_allowed, propose
+from dgeval.stages.grasping import EncodedCloud, Networks, encode_cloud, evaluate, free_of, overlap_allowed, propose, way_free
 
 
 @dataclass(frozen=True)
@@ -30,17 +30,30 @@ class Proposals:
     scores: Array
     cloud: EncodedCloud | None = None
     T_view_object: Array | None = None
-    max_overlap: float = 0.0
+    config: GraspsConfig | None = None
     support: tuple[Array, float] | None = None
     kept: bool = False
 
     def free(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Whether the hand at candidates (k,) lies outside the cloud they were drawn for; known grasps always do."""
-        if self.cloud is None or self.T_view_object is None:
+        if self.cloud is None or self.T_view_object is None or self.config is None:
             return np.ones(len(rows), bool)
         poses = self.T_view_object @ self.T_object_palm[rows]
-        most = overlap_allowed(rows, len(self.scores), self.kept, self.max_overlap)
+        most = overlap_allowed(rows, len(self.scores), self.kept, self.config.max_overlap)
         return free_of(self.cloud, poses, self.preshapes[rows], self.support, most)
+
+    def way_free(self, row: int, T_object_hand: Array) -> bool:
+        """Whether the way to a candidate is free from where the palm is; that to the one chosen before is not asked again."""
+        if (
+            self.cloud is None
+            or self.T_view_object is None
+            or self.config is None
+            or (self.kept and row == len(self.scores) - 1)
+        ):
+            return True
+        hand = (self.T_view_object @ T_object_hand)[:3, 3]
+        pose = self.T_view_object @ self.T_object_palm[row]
+        return way_free(self.cloud, pose, self.preshapes[row], hand, self.support, self.config)
 
 
 class GraspSource(Protocol):
@@ -102,8 +115,7 @@ class FFHNetGrasps:
         index = self._index * 100_000 + frame
         drawn = propose(cloud, self._networks, self._config.candidates, self._seed, index, again)
         poses = invert(T_view_object) @ drawn.T_cloud_palm
-        most = self._config.max_overlap
-        self._last = Proposals(poses, drawn.joints, drawn.scores, cloud, T_view_object, most, support, drawn.kept)
+        self._last = Proposals(poses, drawn.joints, drawn.scores, cloud, T_view_object, self._config, support, drawn.kept)
         return self._last
 
     def score(self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array) -> float:  # noqa: ARG002  the protocol's

@@ -11,7 +11,7 @@ import numpy as np
 
 from dgeval.config import SelectionConfig
 from dgeval.determinism import generator
-from dgeval.geometry import Array, increment
+from dgeval.geometry import Array, increment, invert
 from dgeval.physics.closing import CONTROL_S, NEAR, TRUTH_STEP
 from dgeval.physics.hand import MAX_SPEED, T_hand_camera
 from dgeval.simulation.perception import Perceiver
@@ -213,10 +213,13 @@ class _Chooser:
         poses = T_base_object @ proposals.T_object_palm
         if proposals is not self._of:
             self._of, self._feasible = proposals, Feasible(proposals.free, self._reaches)
-        self._poses = poses
+        self._poses, self._T_object_hand = poses, invert(T_base_object) @ palm
         metric = grasp_metric(poses, proposals.scores, palm, config)
         return self._feasible.first(by_metric(metric, config.keep_margin if proposals.kept else 0.0))
 
     def _reaches(self, row: int) -> bool:
+        assert self._of is not None
+        if not self._of.way_free(row, self._T_object_hand):
+            return False
         _, residual = self._world.kinematics.solve(self._poses[row], self._world.q_set, 100, enough=REACHED)
         return residual < REACHED

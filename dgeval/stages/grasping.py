@@ -35,6 +35,7 @@ OVERLAP_POINTS = 300  # of a cloud, in which overlaps are looked for
 CHUNK = 32  # candidates whose overlap is calculated at a time
 KEPT_SLACK = 2.5  # times the overlap allowed, for the grasp chosen last: a cloud's noise shall not take it away
 MOST_TRIED = 32  # candidates out of the arm's reach, after which there is none
+WAY_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,29 @@ def free_of(
     if support is not None:
         deep = np.maximum(deep, depth_below(*support, T_cloud_palm, joints))
     return np.asarray(deep <= most)
+
+
+def way_free(
+    cloud: EncodedCloud,
+    T_cloud_palm: Array,
+    joints: Array,
+    hand: Array,
+    support: tuple[Array, float] | None,
+    config: GraspsConfig,
+) -> bool:
+    """Whether the preshaped hand is free at WAY_STEPS places over the last `way_m` before a grasp (4, 4), joints (15,).
+
+    hand (3,) m: where the palm comes from, straight and turned as in the grasp already. Ours: without it the hand pushes
+    tall things over on the way.
+    """
+    back = hand - T_cloud_palm[:3, 3]
+    length = float(np.linalg.norm(back))
+    if config.way_m == 0.0 or length < 1e-6:
+        return True
+    places = np.tile(T_cloud_palm, (WAY_STEPS, 1, 1))
+    shares = np.minimum(np.arange(1, WAY_STEPS + 1) / WAY_STEPS * config.way_m, length) / length
+    places[:, :3, 3] += shares[:, None] * back
+    return bool(free_of(cloud, places, np.tile(joints, (WAY_STEPS, 1)), support, config.max_overlap).all())
 
 
 class Feasible:

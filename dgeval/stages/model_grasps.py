@@ -23,6 +23,7 @@ from dgeval.stages.grasping import (
     networks_of,
     overlap_allowed,
     propose,
+    way_free,
 )
 from dgeval.stages.reachability import Arm, arm_of
 from dgeval.stages.recorded_grasps import Choice
@@ -89,7 +90,7 @@ class ModelGrasps:
                 support,
                 overlap_allowed(rows, len(poses), candidates.kept, most),
             ),
-            self._reaches(poses, frame.t_ns),
+            self._reaches(poses, frame.t_ns, at[1], palm),
         ).first(by_metric(metric, config.selection.keep_margin if candidates.kept else 0.0))
         if chosen is None:
             return None
@@ -113,14 +114,24 @@ class ModelGrasps:
         n, seed = self._config.grasps.candidates, self._config.seed
         return _Drawn(cloud, support, propose(cloud, self._networks, n, seed, frame.index, kept), T_base_cloud, T_cloud_model)
 
-    def _reaches(self, poses: Array, t_ns: int) -> Callable[[int], bool] | None:
-        """Whether the arm reaches a pose from where it is; None where its kinematics or joints are not known."""
-        arm = self._arm
-        if arm is None:
+    def _reaches(self, poses: Array, t_ns: int, drawn: _Drawn, palm: Array | None) -> Callable[[int], bool] | None:
+        """Whether the way to a pose is free, and the arm reaches it from where it is, as far as each is known."""
+        arm, config, candidates = self._arm, self._config.grasps, drawn.candidates
+        hand = None if palm is None or config.way_m == 0.0 else (invert(drawn.T_base_cloud) @ palm)[:3, 3]
+        start: Array | None = None
+        if arm is not None:
+            gap = round(self._config.sync.max_pose_gap_s * 1e9)
+            q = [self._joints.at(j.name, t_ns, gap) for j in arm.movable]
+            start = None if any(v is None for v in q) else np.array(q, dtype=float)
+        if hand is None and start is None:
             return None
-        gap = round(self._config.sync.max_pose_gap_s * 1e9)
-        q = [self._joints.at(j.name, t_ns, gap) for j in arm.movable]
-        if any(v is None for v in q):
-            return None
-        start = np.array(q, dtype=float)
-        return lambda row: arm.solve(poses[row], start) is not None
+
+        def reaches(row: int) -> bool:
+            kept = candidates.kept and row == len(poses) - 1  # its way is not asked again
+            if hand is not None and not kept:
+                pose, joints = candidates.T_cloud_palm[row], candidates.joints[row]
+                if not way_free(drawn.cloud, pose, joints, hand, drawn.support, config):
+                    return False
+            return arm is None or start is None or arm.solve(poses[row], start) is not None
+
+        return reaches
