@@ -26,7 +26,7 @@ from dgeval.simulation.perception import Sight, T_hand_camera
 from dgeval.simulation.proposals import FFHNetGrasps
 from dgeval.simulation.scenario import load_scenario
 from dgeval.stages.execution import execute
-from dgeval.stages.grasping import encode_cloud, evaluate, free_of, networks_of, propose
+from dgeval.stages.grasping import encode_cloud, evaluate, free_of, networks_of, propose, way_free
 from dgeval.stages.hand_overlap import standing_points
 from dgeval.stages.reachability import arm_of
 from dgeval.training.ship import export
@@ -308,6 +308,24 @@ def test_the_far_side_of_what_stands_is_not_free() -> None:
     )
     assert not (after & ~before).any()
     assert after.sum() < before.sum()
+
+
+def test_the_way_to_a_grasp_through_the_object_is_not_free() -> None:
+    """Catches a way looked for behind the grasp, or longer than the hand is away, and one asked for though it is turned off."""
+    networks = networks_of(GraspsConfig())
+    grid = np.stack(np.meshgrid(*[np.linspace(-0.03, 0.03, 13)] * 3), axis=-1).reshape(-1, 3)
+    cloud = encode_cloud(grid, networks)
+    pose = np.eye(4)
+    pose[0, 3] = 0.30  # well beside the block
+    joints, config = np.zeros(15), GraspsConfig(way_m=0.06)
+    assert free_of(cloud, pose[None], joints[None], None, 0.004).all()
+    assert way_free(cloud, pose, joints, np.array([0.6, 0.0, 0.0]), None, config)  # from its own side
+    assert way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, config)  # 6 cm nearer to the block is still free
+    through = config.model_copy(update={"way_m": 0.45})
+    assert not way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, through)  # a step of it lies in the block
+    assert way_free(cloud, pose, joints, np.array([0.25, 0.0, 0.0]), None, through)  # no farther than where the hand is
+    assert way_free(cloud, pose, joints, pose[:3, 3], None, through)
+    assert way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, GraspsConfig())
 
 
 def test_shipped_networks_know_a_grasp_from_a_hand_in_the_air() -> None:
