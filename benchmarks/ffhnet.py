@@ -130,7 +130,7 @@ def reliability(p: Array, held: Array, path: Path) -> None:
         )
     axis.set_xlabel("score")
     axis.set_ylabel("share that held (numbers: grasps)")
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+    figure.savefig(path, metadata={"Date": None})
 
 
 def main() -> None:
@@ -162,10 +162,10 @@ def main() -> None:
     with torch.inference_mode():
         p = networks.evaluator(bps, palms).numpy().astype(float)
     found_scores = scores_of(p, held.numpy() > 0.5)
-    reliability(p, held.numpy(), RESULTS / "ffhnet-reliability.png")
+    reliability(p, held.numpy(), RESULTS / "ffhnet-reliability.svg")
     parts += [
         f"The evaluator on {len(held)} tried grasps of nine unseen objects: of 256 candidates that are free, the four "
-        "best and four at random, of ten views each (plot: ffhnet-reliability.png).",
+        "best and four at random, of ten views each (plot: ffhnet-reliability.svg).",
         table(
             ["ROC-AUC", "Brier", "ECE", "share that held"],
             [[f"{found_scores[k]:.3f}" for k in ("auc", "brier", "ece", "held")]],
