@@ -71,7 +71,7 @@ def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | str:
         return "where camera and object were when the robot last saw the object is not known"
     errors = {"servo": palm[:3, 3] - grasp, "tracking": tracking}
     # what is pushed moves otherwise than before, and the belief follows it
-    free_ns = min(at_ns, *(t - BEFORE_PUSH_NS for t in (hindsight.contact_ns, hindsight.pushed_ns) if t is not None), at_ns)
+    free_ns = min([at_ns, *(t - BEFORE_PUSH_NS for t in (hindsight.contact_ns, hindsight.pushed_ns) if t is not None)])
     free = velocities[-1:] if close_ns is not None else steady(trial.scan.twists.get(VELOCITY_TOPIC, []), free_ns)
     if free:
         wrong = free[-1] - hindsight.path.velocity[-1]
