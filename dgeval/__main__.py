@@ -1,3 +1,3 @@
-from dgeval.cli import app
+from dgeval.cli import main
 
-app(prog_name="dgeval")
+main()

@@ -8,9 +8,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 EXIT_OK = 0
+EXIT_WORSE = 1
 EXIT_USAGE = 2
 EXIT_DATA_LOST = 3
 EXIT_INTERNAL = 4
+EXIT_INTERRUPTED = 130
+EXIT_CODES: dict[int, str] = {
+    EXIT_OK: "done",
+    EXIT_WORSE: "a finished comparison found a regression",
+    EXIT_USAGE: "usage, configuration, or nothing could be read: there is no result",
+    EXIT_DATA_LOST: "results are there, but data were lost or a recording was not read",
+    EXIT_INTERNAL: "an internal error; the traceback is in log.jsonl",
+    EXIT_INTERRUPTED: "interrupted; finished trials are kept",
+}
 
 
 @dataclass(frozen=True, slots=True)

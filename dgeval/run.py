@@ -58,6 +58,7 @@ class TrialResult:
     sha256: str | None
     resumed: bool = False
     review: dict[str, int] | None = None
+    traceback: str | None = None
 
 
 def file_name(trial: str) -> str:
@@ -82,7 +83,7 @@ def replay_trial(
 ) -> TrialResult:
     """Replay one trial into the run folder; the commit mark `trials/<trial>.json` is written last.
 
-    Known errors become messages with an exit code; so does an unknown one, with its traceback in the message list only.
+    Known errors become messages with an exit code; so does an unknown one, whose traceback goes into the run's log.
     """
     limit_threads()
     try:
@@ -90,9 +91,10 @@ def replay_trial(
     except DgevalError as error:
         return TrialResult(spec.id, None, error.exit_code, [str(error)], None)
     except Exception as error:  # the boundary of a trial: one must not take the others down
-        where = traceback.format_exc().strip().splitlines()[-3:]
-        what = f"internal error: {describe(error)} ({' '.join(line.strip() for line in where[:1])})"
-        return TrialResult(spec.id, None, EXIT_INTERNAL, [what], None)
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(last.filename).name}:{last.lineno}"
+        what = f"internal error: {describe(error)} at {where}; the traceback is in the run's log.jsonl"
+        return TrialResult(spec.id, None, EXIT_INTERNAL, [what], None, traceback=traceback.format_exc())
 
 
 def _replay_trial(
@@ -300,10 +302,11 @@ def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
     _write_table(out / "trials.parquet", arrow_table(TRIALS, rows))
     timings = [pq.read_table(out / "trials" / f"{file_name(r.id)}.timings.parquet") for r in done]
     _write_table(out / "timings.parquet", pa.concat_tables(timings) if timings else arrow_table(TIMINGS, []))
-    lines = [
-        json.dumps({"trial": r.id, "exit_code": r.exit_code, "message": m}) for r in sorted(results, key=lambda r: r.id)
-        for m in r.messages
-    ]  # fmt: skip
+    lines = []
+    for r in sorted(results, key=lambda r: r.id):
+        lines += [json.dumps({"trial": r.id, "exit_code": r.exit_code, "message": m}) for m in r.messages]
+        if r.traceback is not None:
+            lines.append(json.dumps({"trial": r.id, "exit_code": r.exit_code, "traceback": r.traceback}))
     write_atomically(out / "log.jsonl", "".join(line + "\n" for line in lines))
     about = {
         "schema_version": SCHEMA_VERSION,

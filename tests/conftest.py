@@ -37,9 +37,9 @@ def real_data() -> Path:
 def dgeval() -> Callable[..., subprocess.CompletedProcess[str]]:
     """Run the command line in a process of its own."""
 
-    def run(*arguments: str | Path, timeout: float = 240, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "dgeval", *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, text=True, timeout=timeout, cwd=cwd, check=False)
+        return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
 
     return run
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from typing import TextIO, cast
+
 from dgeval.determinism import set_thread_variables
 
 set_thread_variables()  # before numpy is imported anywhere
@@ -9,6 +12,8 @@ set_thread_variables()  # before numpy is imported anywhere
 import typer  # noqa: E402
 
 from dgeval.cli import compare, config_show, inspect, regress, replay, report, simulate, train, view  # noqa: E402
+from dgeval.cli.boundary import QuietPipe  # noqa: E402
+from dgeval.errors import EXIT_CODES  # noqa: E402
 
 app = typer.Typer(
     name="dgeval",
@@ -36,6 +41,14 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
-def main(version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version.")) -> None:
-    """Exit codes: 0 done · 1 regression · 2 usage or unreadable input · 3 input damaged, the rest done · 4 internal error."""
+@app.callback(help="Exit codes: " + " · ".join(f"{code} {meaning}" for code, meaning in EXIT_CODES.items()) + ".")
+def options(
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+) -> None:
+    pass
+
+
+def main() -> None:
+    """What the script `dgeval` and `python -m dgeval` run."""
+    sys.stdout = cast(TextIO, QuietPipe(sys.stdout))
+    app(prog_name="dgeval")

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+import tempfile
+import traceback
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from pathlib import Path
+from typing import Any, ParamSpec, TextIO, TypeVar, cast
 
 import typer
 
@@ -14,28 +18,101 @@ from dgeval.errors import EXIT_INTERNAL, EXIT_USAGE, DgevalError
 
 P = ParamSpec("P")
 R = TypeVar("R")
+LOG = "log.jsonl"
 
 
 def command(function: Callable[P, R]) -> Callable[P, R]:
-    """Known errors in one line with their exit code; with json=True also as a document on standard output."""
+    """Errors of a command in one line with their exit code.
+
+    With `--json` the error is also a document on standard output. An error that nobody foresaw has exit code 4; its
+    traceback goes to `log.jsonl` in the command's folder (`--out`, else the first run folder), else in a temporary one.
+    """
 
     @wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        as_json = bool(kwargs.get("json_"))
         try:
             return function(*args, **kwargs)
+        except (typer.Exit, typer.Abort, BrokenPipeError):
+            raise
         except DgevalError as error:
-            typer.echo(f"error: {error}", err=True)
-            if kwargs.get("json_"):
-                typer.echo(json.dumps({"error": str(error), "exit_code": error.exit_code}))
-            raise typer.Exit(error.exit_code) from None
+            raise _exit(str(error), error.exit_code, as_json) from None
         except PermissionError as error:
-            typer.echo(f"error: no permission ({error.filename})", err=True)
-            raise typer.Exit(EXIT_USAGE) from None
-        except OSError as error:
-            typer.echo(f"error: {error.strerror or error} ({error.filename})", err=True)
-            raise typer.Exit(EXIT_INTERNAL) from None
+            raise _exit(f"no permission ({error.filename})", EXIT_USAGE, as_json) from None
+        except Exception as error:  # the boundary of the program
+            log = write_traceback(error, function.__name__, _folder(kwargs))
+            raise _exit(f"internal error: {_told(error)}; the traceback is in {log}", EXIT_INTERNAL, as_json) from None
 
     return run
+
+
+def _exit(message: str, code: int, as_json: bool) -> typer.Exit:
+    typer.echo(f"error: {message}", err=True)
+    if as_json:
+        typer.echo(json.dumps({"error": message, "exit_code": code}))
+    return typer.Exit(code)
+
+
+def _told(error: BaseException) -> str:
+    """An error in one line: its type, what it says, and the line of code that raised it."""
+    last = traceback.extract_tb(error.__traceback__)[-1:]
+    where = f" at {Path(last[0].filename).name}:{last[0].lineno}" if last else ""
+    lines = str(error).splitlines()
+    return f"{type(error).__name__}{': ' + lines[0] if lines else ''}{where}"
+
+
+def _folder(kwargs: dict[str, Any]) -> Path | None:
+    """The folder that a command writes to, or the first run folder that it reads."""
+    if isinstance(kwargs.get("out"), Path):
+        return cast(Path, kwargs["out"])
+    runs = kwargs.get("runs")
+    return runs[0] if isinstance(runs, list) and runs and runs[0].is_dir() else None
+
+
+def write_traceback(error: BaseException, name: str, folder: Path | None) -> Path:
+    """Append a traceback to `log.jsonl` of a folder, or of a new temporary one; returns the file."""
+    line = json.dumps({"command": name, "error": _told(error), "traceback": "".join(traceback.format_exception(error))})
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            return _append(folder / LOG, line)
+        except OSError:
+            pass  # a full disk or a folder that can't be written may be why the command failed
+    return _append(Path(tempfile.mkdtemp(prefix="dgeval-")) / LOG, line)
+
+
+def _append(path: Path, line: str) -> Path:
+    with path.open("a", encoding="utf-8") as file:
+        file.write(line + "\n")
+    return path
+
+
+class QuietPipe:
+    """Standard output that goes nowhere once its reader has closed it, as in `dgeval inspect … | head`."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            self._discard()
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._discard()
+
+    def _discard(self) -> None:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self._stream.fileno())
+        os.close(nowhere)
 
 
 def print_json(value: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -54,7 +55,7 @@ def train(
 
     if network not in ("ffhnet", "vfas"):
         raise UsageError(f"no network {network!r} to train", hint="ffhnet or vfas")
-    with Progress(console=Console(stderr=True), disable=json_) as bar:
+    with Progress(console=Console(stderr=True), disable=json_ or not sys.stderr.isatty()) as bar:
         tasks: dict[str, TaskID] = {}
         totals: dict[str, int] = {}
 
