@@ -16,8 +16,8 @@ import pandas as pd
 from dgeval.compare.paired import ALPHA, METRICS, answers, trial_metrics
 from dgeval.determinism import generator
 from dgeval.geometry import Array
-from dgeval.report.statistics import wilson
 from dgeval.results import read_run
+from dgeval.statistics import wilson
 from matplotlib.figure import Figure
 
 from benchmarks.result import RESULTS, table, write

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dgeval.report.statistics import wilson
+from dgeval.statistics import wilson
 
 from benchmarks.result import table, write
 

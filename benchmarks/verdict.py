@@ -22,13 +22,13 @@ import mujoco
 import numpy as np
 from dgeval.config import ServoConfig, VerdictConfig
 from dgeval.determinism import generator, limit_threads
+from dgeval.failure_rule import HANDED_OVER, Thresholds
 from dgeval.geometry import Array, increment, invert
 from dgeval.hindsight import blind_gap
 from dgeval.physics.closing import CONTROL_S
 from dgeval.physics.gripper import JAW
 from dgeval.physics.hand import ACTUATED
 from dgeval.physics.objects import surface_points
-from dgeval.report.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.simulation.blame import blame
 from dgeval.simulation.campaign import Campaign, grasps_of, plan_of, simulate, world_of
 from dgeval.simulation.perception import ModelledPerception
@@ -37,7 +37,7 @@ from dgeval.simulation.scenario import Plan, load_scenario
 from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import Prover, prove
 from dgeval.simulation.world import World, matrix_of, twin_path
-from dgeval.taxonomy import HANDED_OVER, Thresholds
+from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.verdict.beliefs import BEFORE_PUSH_NS, DRIFT_NS, Beliefs, carried, gains_of, growth, steady
 from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import CLASSES, Cause, cause_of

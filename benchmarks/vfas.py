@@ -23,10 +23,10 @@ set_thread_variables()
 import numpy as np  # noqa: E402
 from dgeval.compare.paired import mcnemar  # noqa: E402
 from dgeval.geometry import Array, rotation_angle  # noqa: E402
-from dgeval.report.statistics import wilson  # noqa: E402
 from dgeval.simulation.campaign import Campaign, plan_of, simulate  # noqa: E402
 from dgeval.simulation.scenario import Scenario, load_scenario  # noqa: E402
 from dgeval.simulation.trial import Run  # noqa: E402
+from dgeval.statistics import wilson  # noqa: E402
 
 from benchmarks.result import number, source_digest, table, write  # noqa: E402
 

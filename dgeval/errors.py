@@ -111,3 +111,9 @@ class Damage:
             to = "the end" if self.lost_to_ns is None else f"{self.lost_to_ns} ns"
             text += f"; lost from {self.lost_from_ns} ns to {to}"
         return f"{text} [{self.place}]"
+
+
+def describe(error: BaseException) -> str:
+    """A foreign error in one line: its class, and its text where it has one."""
+    text = " ".join(str(error).split())[:160]
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -4,7 +4,7 @@ did not matter, single lucky ticks taken for a window, thresholds compared the w
 from __future__ import annotations
 
 import pytest
-from dgeval.taxonomy import Facts, Needs, Thresholds, Verdict, classify
+from dgeval.failure_rule import Facts, Needs, Thresholds, Verdict, classify
 
 FAIL = tuple((round(0.03 * k, 3), False) for k in range(-20, 21) if k)
 

@@ -13,6 +13,7 @@ from dgeval.networks.bps import basis
 from dgeval.networks.ffhnet import load_evaluator as load_ffhnet_evaluator
 from dgeval.networks.ffhnet import palms_of
 from dgeval.networks.pointnet2 import VFAS, load_evaluator
+from dgeval.parallel import write_all
 from dgeval.physics.objects import procedural_object, surface_points, ten_objects
 from dgeval.simulation.clouds import seen_from
 from dgeval.simulation.grasps import FlyingHand
@@ -20,7 +21,6 @@ from dgeval.training import ffhnet, loop, vfas
 from dgeval.training.ffhnet import Settings, batch_of, load_objects
 from dgeval.training.grasp_data import LIGHT_TOUCH, holds, make_grasps, read_grasps, write_grasps
 from dgeval.training.jaw_data import write_scenes
-from dgeval.training.pool import write_all
 from dgeval.training.ship import export, scores_of
 from dgeval.training.views import camera_at, views_of
 

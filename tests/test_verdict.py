@@ -19,7 +19,6 @@ from dgeval.hindsight import Seen, Surface, _priors, look_back
 from dgeval.physics.objects import ObjectModel, surface_points, ten_objects
 from dgeval.physics.shape import solid_from_cloud
 from dgeval.recording.messages import StampedPose
-from dgeval.report.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.report.summary import failure_shares, published, read_truth, success_by
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
@@ -28,6 +27,7 @@ from dgeval.stages.plane import Plane
 from dgeval.stages.smoothing import Path as ObjectPath
 from dgeval.stages.smoothing import Sighting, smooth
 from dgeval.stages.types import Model
+from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.verdict import outcome
 from dgeval.verdict.beliefs import Beliefs, beliefs_of, gains_of, growth, laid_on, steady
 from dgeval.verdict.blame import blame_of

@@ -93,9 +93,9 @@ def _ffhnet(
     totals: dict[str, int],
     progress: Progressed,
 ) -> dict[str, Any]:
+    from dgeval.parallel import write_all
     from dgeval.training.ffhnet import Settings
     from dgeval.training.grasp_data import write_grasps
-    from dgeval.training.pool import write_all
     from dgeval.training.ship import train_all
 
     own = {"generator_steps": steps * 16 // 13, "tune_steps": steps * 5 // 13}

@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from dgeval.geometry import Array
-from dgeval.physics.hand import CLOSED
+from dgeval.physics.hand import CLOSE_S
 from dgeval.physics.scene import TIMESTEP
 
 CONTROL_S = 0.010  # period of the control loop
 SUBSTEPS = round(CONTROL_S / TIMESTEP)
-CLOSE_S, SETTLE_S, LIFT_S, LIFT_HEIGHT = 0.4, 0.1, 0.7, 0.20  # closing ramp, wait, lift (m)
+SETTLE_S, LIFT_S, LIFT_HEIGHT = 0.1, 0.7, 0.20  # wait after the closing ramp, lift (m)
 MIN_LIFT, MAX_FROM_HAND = 0.10, 0.15  # m: over its support; object's centre from the grasp's centre
 AFTER_CLOSE_S = 0.6  # close times are tried until this long after the real one
 TRUTH_STEP = 3  # control periods between the close times tried, 30 ms
 NEAR = 0.08  # m; hand to object, where the window of other close times begins
-GRASP_CENTRE = np.array([0.05, 0.012, 0.165])  # in hand_base
 
 
 def finishing_twist(since_close: float, velocity: Array) -> Array:
@@ -32,9 +31,3 @@ def finishing_twist(since_close: float, velocity: Array) -> Array:
 def swing(since: float, metres: float) -> Array:
     """Sideways offset (2,) m of a shake at 5 Hz, to and fro by so much, begun at rest; its peak is metres * 493 / s^2."""
     return np.asarray(metres * (1 - np.cos(2 * np.pi * since / 0.2)) / 2 * np.array([0.8, 0.6]))
-
-
-def finger_targets(since_close: float, preshape: Array) -> Array:
-    """Finger drives (15,) a time after the close command, s."""
-    closing = float(np.clip(since_close / CLOSE_S, 0.0, 1.0))
-    return np.asarray(preshape + closing * (np.maximum(CLOSED, preshape) - preshape))

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from dgeval.geometry import Array
-from dgeval.physics import closing, hand, jaw
+from dgeval.physics import hand, jaw
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def _coupled(preshape: Array) -> Array:
 
 FIVE_FINGERS = Gripper(
     "fingers", hand.JOINT_NAMES, hand.ACTUATED, hand.FINGERS, hand.T_hand_palm, hand.T_hand_camera,
-    closing.GRASP_CENTRE, _coupled, closing.finger_targets,
+    hand.GRASP_CENTRE, _coupled, hand.finger_targets,
 )  # fmt: skip
 JAW = Gripper(
     "jaw", jaw.JOINT_NAMES, jaw.JOINT_NAMES, jaw.FINGERS, jaw.T_hand_grasp, jaw.T_hand_camera,

@@ -58,6 +58,8 @@ JOINT_NAMES = tuple(f"{finger}_{k}" for finger in FINGERS for k in range(4))  # 
 ACTUATED = tuple(f"{finger}_{k}" for finger in FINGERS for k in range(3))  # 15
 MAX_SPEED = 3.14  # rad/s
 CLOSED = np.tile([0.0, 1.25, 1.0], 5)  # where the fingers are sent to; the limited forces stop them on the object
+CLOSE_S = 0.4  # s, closing ramp
+GRASP_CENTRE = np.array([0.05, 0.012, 0.165])  # in hand_base
 STIFFNESS, FORCE = (3.0, 3.0, 1.8), (2.0, 1.15, 0.95)  # Nm/rad and Nm of the three drives of a finger
 
 
@@ -144,3 +146,10 @@ def _solid(geom: mujoco.MjsGeom) -> None:
     geom.contype, geom.conaffinity, geom.condim, geom.priority = 2, 1, 4, 1
     geom.friction, geom.solref, geom.solimp = [0.9, 0.005, 0.0001], [0.006, 1], [0.9, 0.97, 0.001, 0.5, 2]
     geom.rgba = [0.34, 0.35, 0.38, 1]
+
+
+
+def finger_targets(since_close: float, preshape: Array) -> Array:
+    """Finger drives (15,) a time after the close command, s."""
+    closing = float(np.clip(since_close / CLOSE_S, 0.0, 1.0))
+    return np.asarray(preshape + closing * (np.maximum(CLOSED, preshape) - preshape))

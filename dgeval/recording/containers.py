@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from dgeval.errors import Damage, Place, UndecodableError, UnreadableError
+from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 BAG_MAGIC = b"#ROSBAG V"
@@ -136,12 +136,6 @@ def open_container(path: Path) -> Opened:
     elif head.lstrip()[:1] == b"<":
         hint = "this is a web page, not the recording: download it again"
     raise UnreadableError("neither MCAP, ROS 1 bag nor ROS 2 SQLite by its first bytes", place, hint)
-
-
-def describe(error: BaseException) -> str:
-    """A foreign error in one line: its class, and its text where it has one."""
-    text = " ".join(str(error).split())[:160]
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def sha256_of(path: Path) -> str:

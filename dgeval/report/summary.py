@@ -12,7 +12,7 @@ import pandas as pd
 
 from dgeval.recording.containers import open_container
 from dgeval.recording.trials import find_trials
-from dgeval.report.statistics import confusion, macro_f1, wilson
+from dgeval.statistics import confusion, macro_f1, wilson
 
 CLASSES = ("imprecise_pose", "collision", "timing")
 WORDS = {"imprecise_pose": "imprecise pose", "collision": "collision", "timing": "timing", "unknown": "unknown"}

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dgeval.failure_rule import Tracking
 from dgeval.geometry import Array
 from dgeval.stages.plane import Plane
-from dgeval.taxonomy import Tracking
 
 Window = tuple[int, int, int, int]
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgeval.determinism import generator
+from dgeval.failure_rule import HANDED_OVER, Facts, FailureClass, Needs, SubCause, Thresholds, Verdict, classify
 from dgeval.geometry import Array, rotation_angle
 from dgeval.physics.closing import AFTER_CLOSE_S, CONTROL_S
 from dgeval.physics.shape import solid_from_cloud
-from dgeval.taxonomy import HANDED_OVER, Facts, FailureClass, Needs, SubCause, Thresholds, Verdict, classify
 from dgeval.verdict.evidence import Scene
 from dgeval.verdict.twin import Sample, Twin
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from dgeval.failure_rule import Facts, Needs, Thresholds, Verdict, classify
 from dgeval.geometry import Array, invert, rotation_vector
 from dgeval.physics.closing import (
     AFTER_CLOSE_S,
@@ -27,7 +28,6 @@ from dgeval.physics.closing import (
 from dgeval.physics.objects import ObjectModel
 from dgeval.physics.presenter import GRIP, GRIPPED_N, RELEASE_S
 from dgeval.physics.scene import TIMESTEP, build, finger_forces, least_distance
-from dgeval.taxonomy import Facts, Needs, Thresholds, Verdict, classify
 from dgeval.verdict.evidence import Scene
 
 STEP = 6  # control periods between the close times tried; half of it around lone successes
