@@ -21,10 +21,10 @@ import numpy as np
 from dgeval.config import load_config
 from dgeval.determinism import generator, set_thread_variables
 from dgeval.geometry import increment, matrix_from_pose
-from dgeval.physics.urdf import CAMERA_FRAME
 from dgeval.recording.trials import TrialSpec, find_trials
 from dgeval.recording.write import STORE, McapWriter
 from dgeval.report.summary import read_truth
+from dgeval.robots.urdf import CAMERA_FRAME
 from dgeval.run import replay_trial
 from dgeval.simulation.record import COLOUR_TOPIC, DEPTH_TOPIC
 from dgeval.simulation.sensors import D435

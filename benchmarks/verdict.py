@@ -26,9 +26,9 @@ from dgeval.failure_rule import HANDED_OVER, Thresholds
 from dgeval.geometry import Array, increment, invert
 from dgeval.hindsight import blind_gap
 from dgeval.physics.closing import CONTROL_S
-from dgeval.physics.gripper import JAW
-from dgeval.physics.hand import ACTUATED
 from dgeval.physics.objects import surface_points
+from dgeval.robots.dlr_hit_hand import ACTUATED
+from dgeval.robots.hand import JAW
 from dgeval.simulation.blame import blame
 from dgeval.simulation.campaign import Campaign, grasps_of, plan_of, simulate, world_of
 from dgeval.simulation.perception import ModelledPerception

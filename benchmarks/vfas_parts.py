@@ -19,8 +19,8 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from dgeval.geometry import increment, invert  # noqa: E402
 from dgeval.networks.pointnet2 import PUBLIC, VFAS, GraspEvaluator  # noqa: E402
-from dgeval.physics.jaw import link_points  # noqa: E402
 from dgeval.physics.objects import at, eight_objects, procedural_object, surface_points  # noqa: E402
+from dgeval.robots.parallel_jaw import link_points  # noqa: E402
 from dgeval.simulation.campaign import Campaign, plan_of, simulate  # noqa: E402
 from dgeval.simulation.jaw_grasps import FlyingJaw, between_fingers, seed_pose  # noqa: E402
 from dgeval.simulation.render import Eyes  # noqa: E402

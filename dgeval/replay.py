@@ -14,9 +14,9 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.geometry import Array, matrix_from_pose, transform
-from dgeval.physics.hand import ACTUATED
 from dgeval.recording.frame import Frame
 from dgeval.recording.trials import GRASP_TOPIC, SEED_TOPIC, Trial
+from dgeval.robots.dlr_hit_hand import ACTUATED
 from dgeval.stages.execution import execute
 from dgeval.stages.perception import Perception, pose_columns
 from dgeval.stages.recorded_grasps import Choice, RecordedGrasps

@@ -20,10 +20,9 @@ import pyarrow.parquet as pq
 from dgeval import __version__
 from dgeval.config import Config
 from dgeval.determinism import fingerprint, limit_threads
-from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError
+from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError, describe
 from dgeval.geometry import Array
 from dgeval.hindsight import Hindsight, Seen, Surface, look_back, seen_of
-from dgeval.recording.containers import describe
 from dgeval.recording.trials import Trial, TrialSpec, open_trial
 from dgeval.replay import Step, grasp_source, recorded_seed, replay
 from dgeval.schema import (

@@ -12,7 +12,7 @@ from dgeval.config import VfasConfig
 from dgeval.errors import UsageError
 from dgeval.geometry import increment, rotation_vector, transform
 from dgeval.networks.contact_graspnet import CENTRES, NEIGHBOURS, RADII, ContactGraspNet, load_contact_graspnet
-from dgeval.physics.jaw import OPENING
+from dgeval.robots.parallel_jaw import OPENING
 from dgeval.stages.vfas import GraspJudge
 from dgeval.stages.vfas_loop import evaluator_of, seed_from_cloud, seed_from_contacts
 

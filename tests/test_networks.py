@@ -19,9 +19,9 @@ from dgeval.networks import checkpoints
 from dgeval.networks.bps import basis, encode
 from dgeval.networks.checkpoints import LEVELS, read_weights
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_evaluator, load_generator, matrix_from_6d
-from dgeval.physics.arm import LOWER, UPPER, ArmKinematics
-from dgeval.physics.urdf import robot_urdf
-from dgeval.recording.description import load_description
+from dgeval.robots.description import load_description
+from dgeval.robots.diana7 import LOWER, UPPER, ArmKinematics
+from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.perception import Sight, T_hand_camera
 from dgeval.simulation.proposals import FFHNetGrasps
 from dgeval.simulation.scenario import load_scenario

@@ -17,10 +17,10 @@ import pytest
 from dgeval.config import load_config
 from dgeval.errors import UsageError
 from dgeval.geometry import transform
-from dgeval.physics.closing import GRASP_CENTRE
 from dgeval.physics.objects import ten_objects
 from dgeval.recording.containers import sha256_of
 from dgeval.recording.trials import find_trials, open_trial
+from dgeval.robots.dlr_hit_hand import GRASP_CENTRE
 from dgeval.simulation.blame import blame
 from dgeval.simulation.campaign import Campaign, run_campaign, simulate, with_images
 from dgeval.simulation.faults import Faults
@@ -227,8 +227,8 @@ def test_self_filter_finds_the_hand_that_the_camera_sees(egl: None) -> None:
     scenario = load_scenario("conveyor")
     wanted = plan("pudding_box")
     world = World(ten_objects()["pudding_box"], wanted.speed, true_cameras(scenario, wanted))
-    from dgeval.physics.urdf import robot_urdf
-    from dgeval.recording.description import load_description
+    from dgeval.robots.description import load_description
+    from dgeval.robots.urdf import robot_urdf
     from dgeval.simulation.perception import T_hand_camera
     from dgeval.simulation.render import Eyes
     from dgeval.simulation.seeing import hand_shapes

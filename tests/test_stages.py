@@ -17,9 +17,9 @@ from dgeval.config import (
 from dgeval.determinism import generator
 from dgeval.errors import MissingDependencyError
 from dgeval.geometry import Intrinsics, increment, invert, matrix_from_pose, transform
-from dgeval.physics.hand import T_hand_palm
-from dgeval.recording.description import LinkShape
 from dgeval.recording.frame import Frame
+from dgeval.robots.description import LinkShape
+from dgeval.robots.dlr_hit_hand import T_hand_palm
 from dgeval.stages import align
 from dgeval.stages.estimation import VelocityFilter
 from dgeval.stages.execution import execute

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from dgeval.config import load_config
 from dgeval.geometry import Intrinsics, invert, rotation_angle
-from dgeval.recording.description import LinkShape
 from dgeval.recording.frame import Frame
 from dgeval.replay import Step, replay
+from dgeval.robots.description import LinkShape
 from dgeval.stages.segmentation import points_of
 from dgeval.stages.tracking_model import ModelTracker, TrackingInput
 from scipy.spatial.transform import Rotation

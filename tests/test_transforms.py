@@ -10,11 +10,11 @@ import pytest
 from dgeval.errors import UsageError
 from dgeval.geometry import matrix_from_pose
 from dgeval.recording.containers import open_container
-from dgeval.recording.description import load_description
 from dgeval.recording.messages import JointSample, event_of
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.scan import scan
 from dgeval.recording.transforms import Track, TransformTree
+from dgeval.robots.description import load_description
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation

@@ -15,7 +15,7 @@ from dgeval.geometry import Intrinsics, increment, rotation_angle
 from dgeval.networks.checkpoints import read_weights
 from dgeval.networks.point_sets import crop, farthest_points, neighbours_in_ball
 from dgeval.networks.pointnet2 import VFAS, GraspEvaluator, Sizes, load_evaluator
-from dgeval.physics.jaw import DISTAL, OPENING, PROXIMAL, link_points
+from dgeval.robots.parallel_jaw import DISTAL, OPENING, PROXIMAL, link_points
 from dgeval.stages.motion_field import MotionField, dis_flow
 from dgeval.stages.one_euro import OneEuroFilter, PoseFilter
 from dgeval.stages.vfas import GraspJudge, Vfas, distances, perturbed

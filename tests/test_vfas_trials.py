@@ -11,13 +11,13 @@ import pandas as pd
 import pytest
 from dgeval.cli import app
 from dgeval.config import load_config
-from dgeval.physics.gripper import FIVE_FINGERS, JAW, gripper_of
-from dgeval.physics.jaw import OPEN, TRAVEL, finger_targets
 from dgeval.physics.objects import eight_objects
 from dgeval.physics.scene import TURNTABLE_CENTRE, TURNTABLE_TOP, pose_of
-from dgeval.physics.urdf import robot_urdf
-from dgeval.recording.description import load_description
 from dgeval.recording.trials import GRASP_TOPIC, find_trials, open_trial
+from dgeval.robots.description import load_description
+from dgeval.robots.hand import FIVE_FINGERS, JAW, gripper_of
+from dgeval.robots.parallel_jaw import OPEN, TRAVEL, finger_targets
+from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.campaign import Campaign, prove_trial
 from dgeval.simulation.scenario import load_scenario
 from dgeval.simulation.setting import Setting, Turn

@@ -22,8 +22,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 
-from dgeval.errors import Damage, Place, UndecodableError, UnreadableError
-from dgeval.recording.containers import MCAP_MAGIC, RawMessage, Topic, describe
+from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
+from dgeval.recording.containers import MCAP_MAGIC, RawMessage, Topic
 from dgeval.recording.encodings import DECODERS
 
 FOOTER_LENGTH = 1 + 8 + 20

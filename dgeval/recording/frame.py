@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.geometry import Array, Intrinsics
-from dgeval.recording.description import LinkShape
+from dgeval.robots.description import LinkShape
 
 
 @dataclass(frozen=True, slots=True)

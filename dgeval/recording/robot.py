@@ -11,11 +11,11 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.errors import Place, UsageError
 from dgeval.geometry import Array, matrix_from_pose
-from dgeval.recording.description import Description, Joint, LinkShape, load_description
 from dgeval.recording.messages import JointSample
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
 from dgeval.recording.transforms import TransformTree
+from dgeval.robots.description import Description, Joint, LinkShape, load_description
 
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
 

@@ -12,10 +12,8 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, transform
-from dgeval.physics.arm import JOINT_NAMES as ARM_JOINTS
-from dgeval.physics.closing import CLOSE_S, CONTROL_S, SETTLE_S
+from dgeval.physics.closing import CONTROL_S, SETTLE_S
 from dgeval.physics.objects import surface_points
-from dgeval.physics.urdf import CAMERA_FRAME, robot_urdf
 from dgeval.recording.trials import SEED_TOPIC
 from dgeval.recording.write import (
     camera_info_message,
@@ -30,6 +28,9 @@ from dgeval.recording.write import (
     text,
     twist_stamped,
 )
+from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
+from dgeval.robots.dlr_hit_hand import CLOSE_S
+from dgeval.robots.urdf import CAMERA_FRAME, robot_urdf
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Scenario
 from dgeval.simulation.seeing import Images, encode

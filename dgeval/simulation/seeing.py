@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.geometry import Array, increment, invert, transform
-from dgeval.physics.hand import T_hand_camera
 from dgeval.physics.scene import pose_of
-from dgeval.physics.urdf import robot_urdf
-from dgeval.recording.description import Description, LinkShape, load_description
 from dgeval.recording.frame import Frame
+from dgeval.robots.description import Description, LinkShape, load_description
+from dgeval.robots.dlr_hit_hand import T_hand_camera
+from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.perception import Sight
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Plan, Scenario

@@ -13,7 +13,7 @@ from dgeval.config import SelectionConfig
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert
 from dgeval.physics.closing import CONTROL_S, NEAR, TRUTH_STEP
-from dgeval.physics.hand import MAX_SPEED, T_hand_camera
+from dgeval.robots.dlr_hit_hand import MAX_SPEED, T_hand_camera
 from dgeval.simulation.perception import Perceiver
 from dgeval.simulation.proposals import GraspSource, Proposals
 from dgeval.simulation.scenario import Plan, Scenario

@@ -11,10 +11,10 @@ import numpy as np
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, matrix_from_pose, rotation_angle
 from dgeval.physics.closing import CONTROL_S, NEAR, TRUTH_STEP
-from dgeval.physics.jaw import OPEN
 from dgeval.physics.objects import at
-from dgeval.physics.urdf import robot_urdf
-from dgeval.recording.description import load_description
+from dgeval.robots.description import load_description
+from dgeval.robots.parallel_jaw import OPEN
+from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.jaw_grasps import search
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Plan, Scenario

@@ -9,23 +9,14 @@ import mujoco
 import numpy as np
 
 from dgeval.geometry import Array, transform
-from dgeval.physics.arm import DAMPING, STIFFNESS, ArmKinematics
-from dgeval.physics.arm import JOINT_NAMES as ARM_JOINTS
-from dgeval.physics.closing import (
-    CLOSE_S,
-    CONTROL_S,
-    LIFT_S,
-    MAX_FROM_HAND,
-    MIN_LIFT,
-    SETTLE_S,
-    SUBSTEPS,
-    finishing_twist,
-)  # fmt: skip
-from dgeval.physics.gripper import FIVE_FINGERS, Gripper
-from dgeval.physics.hand import T_hand_palm
+from dgeval.physics.closing import CONTROL_S, LIFT_S, MAX_FROM_HAND, MIN_LIFT, SETTLE_S, SUBSTEPS, finishing_twist
 from dgeval.physics.objects import ObjectModel
 from dgeval.physics.presenter import GRIP, GRIPPED_N, RELEASE_S
 from dgeval.physics.scene import TURNTABLE_TOP, Camera, build, finger_forces, least_distance, pose_of
+from dgeval.robots.diana7 import DAMPING, STIFFNESS, ArmKinematics
+from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
+from dgeval.robots.dlr_hit_hand import CLOSE_S, T_hand_palm
+from dgeval.robots.hand import FIVE_FINGERS, Gripper
 from dgeval.simulation.setting import Setting, present
 
 HOLD_S = 1.6  # recorded after the lift

@@ -10,7 +10,7 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array, invert
-from dgeval.physics.hand import CHAIN, FINGER_MOUNTS, FINGERS, PALM_BOXES, RADIUS, T_hand_palm, capsule_ends, pose
+from dgeval.robots.dlr_hit_hand import CHAIN, FINGER_MOUNTS, FINGERS, PALM_BOXES, RADIUS, T_hand_palm, capsule_ends, pose
 
 COLUMN, LEVEL = 0.009, 0.014  # m; of the points put under what was seen: across, and from one to the next below it
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from dgeval.geometry import Array, cross, rotation_vector
-from dgeval.recording.description import Description, Joint
+from dgeval.robots.description import Description, Joint
 
 POSITION_M, ANGLE_RAD = 0.001, 0.01  # a pose is reached when both errors are below these
 WEIGHT = 0.1  # m that a radian counts for

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.geometry import Array, Intrinsics, invert, transform
-from dgeval.recording.description import LinkShape
+from dgeval.robots.description import LinkShape
 
 Hand = list[tuple[LinkShape, Array]]
 

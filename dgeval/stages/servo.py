@@ -8,7 +8,7 @@ import numpy as np
 
 from dgeval.config import ServoConfig
 from dgeval.geometry import Array, invert, rotation_angle, rotation_vector
-from dgeval.physics.hand import T_hand_palm
+from dgeval.robots.dlr_hit_hand import T_hand_palm
 
 FAST_DERIVATIVE_GAINS = (0.2, 0.5)  # PAPERS A11
 ALONG_FINGERS = invert(T_hand_palm)[:3, 2]  # palm frame

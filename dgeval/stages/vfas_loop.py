@@ -15,8 +15,8 @@ from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.networks.contact_graspnet import CENTRES, ContactGraspNet, load_contact_graspnet
 from dgeval.networks.pointnet2 import GraspEvaluator, load_evaluator
-from dgeval.physics.jaw import OPENING
 from dgeval.recording.frame import Frame
+from dgeval.robots.parallel_jaw import OPENING
 from dgeval.stages.motion_field import MotionField, dis_flow
 from dgeval.stages.self_filter import hand_pixels
 from dgeval.stages.vfas import GraspJudge, Selected, Vfas, perturbed

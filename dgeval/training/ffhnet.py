@@ -17,9 +17,8 @@ from dgeval.determinism import generator
 from dgeval.errors import UsageError
 from dgeval.geometry import Array, invert
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, palms_of
-from dgeval.physics.closing import GRASP_CENTRE
-from dgeval.physics.hand import T_hand_palm
 from dgeval.physics.objects import procedural_object
+from dgeval.robots.dlr_hit_hand import GRASP_CENTRE, T_hand_palm
 from dgeval.training.grasp_data import GraspData, read_grasps
 from dgeval.training.loop import optimise
 from dgeval.training.views import views_of

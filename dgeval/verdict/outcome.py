@@ -9,8 +9,8 @@ import numpy as np
 from dgeval.failure_rule import Outcome, OutcomeSource
 from dgeval.geometry import Array, transform
 from dgeval.hindsight import Hindsight, hand_distance
-from dgeval.physics.gripper import FIVE_FINGERS, JAW
 from dgeval.recording.trials import Trial
+from dgeval.robots.hand import FIVE_FINGERS, JAW
 
 AFTER_S = 1.0  # after the close, from which fingers at rest tell what they hold
 LAST_S = 0.5  # of the log, over which efforts are judged

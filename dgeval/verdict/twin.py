@@ -15,7 +15,6 @@ from dgeval.failure_rule import Facts, Needs, Thresholds, Verdict, classify
 from dgeval.geometry import Array, invert, rotation_vector
 from dgeval.physics.closing import (
     AFTER_CLOSE_S,
-    CLOSE_S,
     CONTROL_S,
     LIFT_S,
     MAX_FROM_HAND,
@@ -24,10 +23,11 @@ from dgeval.physics.closing import (
     SETTLE_S,
     SUBSTEPS,
     finishing_twist,
-)  # fmt: skip
+)
 from dgeval.physics.objects import ObjectModel
 from dgeval.physics.presenter import GRIP, GRIPPED_N, RELEASE_S
 from dgeval.physics.scene import TIMESTEP, build, finger_forces, least_distance
+from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.verdict.evidence import Scene
 
 STEP = 6  # control periods between the close times tried; half of it around lone successes

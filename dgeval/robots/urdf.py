@@ -9,8 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
-from dgeval.physics import arm, hand, jaw
-from dgeval.physics.gripper import FIVE_FINGERS, Gripper
+from dgeval.robots import diana7 as arm
+from dgeval.robots import dlr_hit_hand as hand
+from dgeval.robots import parallel_jaw as jaw
+from dgeval.robots.hand import FIVE_FINGERS, Gripper
 
 Numbers = tuple[float, ...]
 CAMERA_FRAME = "camera_color_optical_frame"

@@ -148,7 +148,6 @@ def _solid(geom: mujoco.MjsGeom) -> None:
     geom.rgba = [0.34, 0.35, 0.38, 1]
 
 
-
 def finger_targets(since_close: float, preshape: Array) -> Array:
     """Finger drives (15,) a time after the close command, s."""
     closing = float(np.clip(since_close / CLOSE_S, 0.0, 1.0))

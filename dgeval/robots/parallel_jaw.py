@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
-from dgeval.physics.hand import place
+from dgeval.robots.dlr_hit_hand import place
 
 OPENING = 0.10  # m between the pads
 TRAVEL = OPENING / 2  # m, of each finger

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dgeval.errors import Place, UsageError
+from dgeval.errors import Place, UsageError, describe
 from dgeval.geometry import Array
-from dgeval.recording.containers import describe
 
 if TYPE_CHECKING:
     import yourdfpy

@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 
 from dgeval.geometry import Array
-from dgeval.physics import hand, jaw
+from dgeval.robots import dlr_hit_hand as hand
+from dgeval.robots import parallel_jaw as jaw
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from dgeval.geometry import Array, rotation_vector
-from dgeval.physics.hand import T_hand_palm, place, pose
+from dgeval.robots.dlr_hit_hand import T_hand_palm, place, pose
 
 # origin xyz m and rpy rad in the parent link, limits rad, speed rad/s; every joint turns about its local z
 JOINTS = (
