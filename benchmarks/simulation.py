@@ -76,11 +76,11 @@ def stability(results: list[dict[str, Any]], n: int, name: str) -> str:
 
     name: of the scenario that was simulated; what is recorded is whose trials it draws.
     """
-    from dgeval.physics.objects import ten_objects
     from dgeval.simulation.blame import jittered
     from dgeval.simulation.campaign import Campaign, simulate
     from dgeval.simulation.scenario import load_scenario, plan_trial
     from dgeval.simulation.truth import prove
+    from dgeval.worlds.objects import ten_objects
 
     rows = []
     for wanted in KINDS[1:]:

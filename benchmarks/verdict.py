@@ -17,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import dgeval.physics  # noqa: F401  # isort: skip  (it chooses how images are drawn before mujoco is imported)
+import dgeval.worlds  # noqa: F401  # isort: skip  (it chooses how images are drawn before mujoco is imported)
 import mujoco
 import numpy as np
 from dgeval.config import ServoConfig, VerdictConfig
@@ -25,8 +25,6 @@ from dgeval.determinism import generator, limit_threads
 from dgeval.failure_rule import HANDED_OVER, Thresholds
 from dgeval.geometry import Array, increment, invert
 from dgeval.hindsight import blind_gap
-from dgeval.physics.closing import CONTROL_S
-from dgeval.physics.objects import surface_points
 from dgeval.robots.dlr_hit_hand import ACTUATED
 from dgeval.robots.hand import JAW
 from dgeval.simulation.blame import blame
@@ -43,6 +41,8 @@ from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import CLASSES, Cause, cause_of
 from dgeval.verdict.evidence import APPROACH_S, CLOSING, PERIOD_NS, HandMotion, Scene, of_hand
 from dgeval.verdict.outcome import LAST_S, between_jaws, grip
+from dgeval.worlds.closing import CONTROL_S
+from dgeval.worlds.objects import surface_points
 
 from benchmarks.result import RESULTS, table, write
 from benchmarks.simulation import PUBLISHED, rates

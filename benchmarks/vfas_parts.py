@@ -19,7 +19,6 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from dgeval.geometry import increment, invert  # noqa: E402
 from dgeval.networks.pointnet2 import PUBLIC, VFAS, GraspEvaluator  # noqa: E402
-from dgeval.physics.objects import at, eight_objects, procedural_object, surface_points  # noqa: E402
 from dgeval.robots.parallel_jaw import link_points  # noqa: E402
 from dgeval.simulation.campaign import Campaign, plan_of, simulate  # noqa: E402
 from dgeval.simulation.jaw_grasps import FlyingJaw, between_fingers, seed_pose  # noqa: E402
@@ -30,6 +29,7 @@ from dgeval.stages.vfas import GraspJudge, perturbed  # noqa: E402
 from dgeval.stages.vfas_loop import evaluator_of  # noqa: E402
 from dgeval.training.jaw_data import CAMERAS, scenes_of, view  # noqa: E402
 from dgeval.training.vfas import measure  # noqa: E402
+from dgeval.worlds.objects import at, eight_objects, procedural_object, surface_points  # noqa: E402
 from scipy.stats import spearmanr  # noqa: E402
 
 from benchmarks.result import number, table, write  # noqa: E402

@@ -15,8 +15,8 @@ from dgeval.determinism import set_thread_variables
 set_thread_variables()
 
 from dgeval.geometry import pose_from_matrix
-from dgeval.physics.objects import ten_objects
 from dgeval.simulation.grasps import search
+from dgeval.worlds.objects import ten_objects
 
 WANTED, TRIES, SEED = 24, 200_000, 11
 

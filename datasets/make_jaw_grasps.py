@@ -12,8 +12,8 @@ set_thread_variables()
 
 from dgeval.determinism import limit_threads
 from dgeval.geometry import pose_from_matrix
-from dgeval.physics.objects import eight_objects
 from dgeval.simulation.jaw_grasps import search
+from dgeval.worlds.objects import eight_objects
 
 FILE = Path(__file__).parents[1] / "dgeval" / "simulation" / "known_jaw_grasps.json"
 

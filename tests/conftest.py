@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = ROOT / "datasets" / "demo.mcap"
 
-import dgeval.physics  # noqa: E402  (chooses how images are drawn; a test module may import mujoco first)
+import dgeval.worlds  # noqa: E402  (chooses how images are drawn; a test module may import mujoco first)
 from dgeval.determinism import set_thread_variables  # noqa: E402
 
 set_thread_variables()

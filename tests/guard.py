@@ -26,7 +26,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import dgeval.physics  # noqa: F401  # isort: skip  (it chooses how images are drawn before mujoco is imported)
+import dgeval.worlds  # noqa: F401  # isort: skip  (it chooses how images are drawn before mujoco is imported)
 import pandas as pd
 from benchmarks.verdict import Job, judge
 from dgeval.simulation.campaign import Campaign, run_campaign

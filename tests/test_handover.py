@@ -11,9 +11,6 @@ import pytest
 from benchmarks.verdict import scene_from
 from dgeval.determinism import generator
 from dgeval.geometry import rotation_angle
-from dgeval.physics.objects import ten_objects
-from dgeval.physics.presenter import Presenter, drawn
-from dgeval.physics.shape import solid_from_cloud
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, Scenario, load_scenario, plan_trial
@@ -22,6 +19,9 @@ from dgeval.simulation.trial import OPEN
 from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, home, matrix_of, twin_path
 from dgeval.verdict.twin import Twin
+from dgeval.worlds.objects import ten_objects
+from dgeval.worlds.presenter import Presenter, drawn
+from dgeval.worlds.shape import solid_from_cloud
 
 THINGS = ten_objects()
 

@@ -13,14 +13,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from dgeval.geometry import rotation_angle, rotation_vector
-from dgeval.physics.objects import ObjectModel, add_object, ball, box, procedural_object, surface_points, ten_objects
-from dgeval.physics.scene import TIMESTEP, build, pose_of
-from dgeval.physics.texture import Look
 from dgeval.robots import diana7 as arm
 from dgeval.robots import dlr_hit_hand as hand
 from dgeval.robots.description import Description, load_description
 from dgeval.robots.diana7 import LOWER, MAX_SPEED, UPPER, ArmKinematics
 from dgeval.robots.urdf import robot_urdf
+from dgeval.worlds.objects import ObjectModel, add_object, ball, box, procedural_object, surface_points, ten_objects
+from dgeval.worlds.scene import TIMESTEP, build, pose_of
+from dgeval.worlds.textures import Look
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 

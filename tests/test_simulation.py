@@ -17,7 +17,6 @@ import pytest
 from dgeval.config import load_config
 from dgeval.errors import UsageError
 from dgeval.geometry import transform
-from dgeval.physics.objects import ten_objects
 from dgeval.recording.containers import sha256_of
 from dgeval.recording.trials import find_trials, open_trial
 from dgeval.robots.dlr_hit_hand import GRASP_CENTRE
@@ -30,6 +29,7 @@ from dgeval.simulation.scenario import Plan, load_scenario, plan_trial
 from dgeval.simulation.truth import Prover, Truth, prove
 from dgeval.simulation.world import World
 from dgeval.stages.self_filter import hand_pixels
+from dgeval.worlds.objects import ten_objects
 
 ROOT = Path(__file__).resolve().parents[1]
 SMOKE = ROOT / "datasets" / "ci-smoke"

@@ -14,7 +14,6 @@ from dgeval.networks.ffhnet import load_evaluator as load_ffhnet_evaluator
 from dgeval.networks.ffhnet import palms_of
 from dgeval.networks.pointnet2 import VFAS, load_evaluator
 from dgeval.parallel import write_all
-from dgeval.physics.objects import procedural_object, surface_points, ten_objects
 from dgeval.simulation.clouds import seen_from
 from dgeval.simulation.grasps import FlyingHand
 from dgeval.training import ffhnet, loop, vfas
@@ -23,6 +22,7 @@ from dgeval.training.grasp_data import LIGHT_TOUCH, holds, make_grasps, read_gra
 from dgeval.training.jaw_data import write_scenes
 from dgeval.training.ship import export, scores_of
 from dgeval.training.views import camera_at, views_of
+from dgeval.worlds.objects import procedural_object, surface_points, ten_objects
 
 SMALL = Settings(n_bps=64, width=24, hidden=16, views=4, held_out=2, batch=64, steps=12, generator_steps=12, tune_steps=4)
 

@@ -16,8 +16,6 @@ from benchmarks.verdict import scene_from
 from dgeval.config import Config
 from dgeval.geometry import Array, increment, transform
 from dgeval.hindsight import Seen, Surface, _priors, look_back
-from dgeval.physics.objects import ObjectModel, surface_points, ten_objects
-from dgeval.physics.shape import solid_from_cloud
 from dgeval.recording.messages import StampedPose
 from dgeval.report.summary import failure_shares, published, read_truth, success_by
 from dgeval.simulation.campaign import Campaign, simulate
@@ -34,6 +32,8 @@ from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import CLASSES, Cause, cause_of
 from dgeval.verdict.evidence import of_hand
 from dgeval.verdict.twin import Twin
+from dgeval.worlds.objects import ObjectModel, surface_points, ten_objects
+from dgeval.worlds.shape import solid_from_cloud
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from scipy.spatial.transform import Rotation

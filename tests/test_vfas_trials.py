@@ -11,8 +11,6 @@ import pandas as pd
 import pytest
 from dgeval.cli import app
 from dgeval.config import load_config
-from dgeval.physics.objects import eight_objects
-from dgeval.physics.scene import TURNTABLE_CENTRE, TURNTABLE_TOP, pose_of
 from dgeval.recording.trials import GRASP_TOPIC, find_trials, open_trial
 from dgeval.robots.description import load_description
 from dgeval.robots.hand import FIVE_FINGERS, JAW, gripper_of
@@ -24,6 +22,8 @@ from dgeval.simulation.setting import Setting, Turn
 from dgeval.simulation.vfas_plan import plan_vfas, waiting_pose
 from dgeval.simulation.vfas_trial import NEAR_HOME
 from dgeval.simulation.world import World, matrix_of, twin_path
+from dgeval.worlds.objects import eight_objects
+from dgeval.worlds.scene import TURNTABLE_CENTRE, TURNTABLE_TOP, pose_of
 from typer.testing import CliRunner
 
 THINGS = eight_objects()

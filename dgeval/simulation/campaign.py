@@ -22,9 +22,6 @@ from typing import Any
 
 from dgeval import __version__
 from dgeval.determinism import fingerprint, limit_threads, set_thread_variables
-from dgeval.physics.closing import AFTER_CLOSE_S, CONTROL_S
-from dgeval.physics.objects import ObjectModel, eight_objects, ten_objects
-from dgeval.physics.scene import Camera
 from dgeval.recording.containers import sha256_of
 from dgeval.simulation.blame import blame
 from dgeval.simulation.grasps import KnownGrasp, known_grasps
@@ -42,6 +39,9 @@ from dgeval.simulation.vfas_plan import plan_vfas
 from dgeval.simulation.vfas_trial import run_vfas
 from dgeval.simulation.world import World, twin_path
 from dgeval.stages.grasping import networks_of
+from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S
+from dgeval.worlds.objects import ObjectModel, eight_objects, ten_objects
+from dgeval.worlds.scene import Camera
 
 BLOCK = 24  # trials simulated between two looks at what is still wanted; a constant, so that jobs don't matter
 

@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, matrix_from_pose
-from dgeval.physics.closing import LIFT_HEIGHT, LIFT_S, SETTLE_S, swing
-from dgeval.physics.objects import ObjectModel, at
-from dgeval.physics.scene import TIMESTEP, build
 from dgeval.robots.dlr_hit_hand import ACTUATED, CLOSE_S, RADIUS, T_hand_palm, finger_targets, quat_wxyz
+from dgeval.worlds.closing import LIFT_HEIGHT, LIFT_S, SETTLE_S, swing
+from dgeval.worlds.objects import ObjectModel, at
+from dgeval.worlds.scene import TIMESTEP, build
 
 REPETITIONS = 6
 SHAKE = 2 * 2 * 9.81 / (2 * np.pi * 5.0) ** 2  # m, to and fro: 2 g at 5 Hz

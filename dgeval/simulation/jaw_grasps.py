@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
-from dgeval.physics.closing import swing
-from dgeval.physics.objects import ObjectModel, at, surface_points
-from dgeval.physics.scene import TIMESTEP, Camera, build
 from dgeval.robots.dlr_hit_hand import quat_wxyz
 from dgeval.robots.parallel_jaw import CLOSE_S, JOINT_NAMES, OPEN, OPENING, T_hand_grasp, finger_targets
+from dgeval.worlds.closing import swing
+from dgeval.worlds.objects import ObjectModel, at, surface_points
+from dgeval.worlds.scene import TIMESTEP, Camera, build
 
 PREGRASP_M = 0.10  # m before the grasp along its approach; ours, the paper gives no figure
 LIFT_M, LIFT_S, HOLD_S = 0.10, 0.5, 0.3

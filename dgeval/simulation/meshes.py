@@ -8,8 +8,8 @@ import numpy as np
 
 from dgeval.config import read_toml
 from dgeval.errors import Place, UsageError
-from dgeval.physics.objects import ObjectModel, Part
-from dgeval.physics.texture import Look
+from dgeval.worlds.objects import ObjectModel, Part
+from dgeval.worlds.textures import Look
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
 DENSITY = 300.0  # kg/m^3 where masses.toml says nothing: boxes and bottles, between foam and water

@@ -9,13 +9,13 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
-from dgeval.physics.objects import ObjectModel, surface_points
-from dgeval.physics.scene import Camera
 from dgeval.robots.dlr_hit_hand import T_hand_camera
 from dgeval.simulation.clouds import seen_from
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.sensors import PROFILES, DepthProfile, colour_from_depth, colour_intrinsics, depth_intrinsics
 from dgeval.simulation.world import World
+from dgeval.worlds.objects import ObjectModel, surface_points
+from dgeval.worlds.scene import Camera
 
 MIN_SHARE = 0.35  # of the surface points on the object's near side inside the image and beyond the least range
 

@@ -12,8 +12,6 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, transform
-from dgeval.physics.closing import CONTROL_S, SETTLE_S
-from dgeval.physics.objects import surface_points
 from dgeval.recording.trials import SEED_TOPIC
 from dgeval.recording.write import (
     camera_info_message,
@@ -37,6 +35,8 @@ from dgeval.simulation.seeing import Images, encode
 from dgeval.simulation.trial import FrameBelief, Run
 from dgeval.simulation.truth import Truth
 from dgeval.simulation.world import World, matrix_of
+from dgeval.worlds.closing import CONTROL_S, SETTLE_S
+from dgeval.worlds.objects import surface_points
 
 START_NS = 1_800_000_000_000_000_000
 BASE = "base_link"

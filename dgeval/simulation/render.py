@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from dgeval.determinism import generator
 from dgeval.errors import UsageError
-from dgeval.physics.objects import OBJECT_GROUP
-from dgeval.physics.scene import BELT_GROUP, Camera
 from dgeval.simulation.sensors import DepthProfile, align_to_colour, colour_from_depth, measure_depth
+from dgeval.worlds.objects import OBJECT_GROUP
+from dgeval.worlds.scene import BELT_GROUP, Camera
 
 
 class Seen(Protocol):

@@ -14,13 +14,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from dgeval.config import Config, read_toml, validated
 from dgeval.determinism import generator
 from dgeval.errors import Place, UsageError
-from dgeval.physics.objects import ObjectModel
-from dgeval.physics.presenter import Presenter
-from dgeval.physics.presenter import drawn as drawn_presenter
-from dgeval.physics.scene import TURNTABLE_CENTRE
 from dgeval.robots.hand import FIVE_FINGERS, JAW, Gripper
 from dgeval.simulation.faults import Faults, draw
 from dgeval.simulation.setting import Turn
+from dgeval.worlds.objects import ObjectModel
+from dgeval.worlds.presenter import Presenter
+from dgeval.worlds.presenter import drawn as drawn_presenter
+from dgeval.worlds.scene import TURNTABLE_CENTRE
 
 PACKAGE = resources.files("dgeval.simulation")
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.geometry import Array, increment, invert, transform
-from dgeval.physics.scene import pose_of
 from dgeval.recording.frame import Frame
 from dgeval.robots.description import Description, LinkShape, load_description
 from dgeval.robots.dlr_hit_hand import T_hand_camera
@@ -19,6 +18,7 @@ from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import World
 from dgeval.stages.perception import Perception
+from dgeval.worlds.scene import pose_of
 
 
 @dataclass(frozen=True)

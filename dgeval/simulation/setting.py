@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from dgeval.physics.objects import ObjectModel
-from dgeval.physics.presenter import Presenter
+from dgeval.worlds.objects import ObjectModel
+from dgeval.worlds.presenter import Presenter
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ import numpy as np
 from dgeval.config import SelectionConfig
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert
-from dgeval.physics.closing import CONTROL_S, NEAR, TRUTH_STEP
 from dgeval.robots.dlr_hit_hand import MAX_SPEED, T_hand_camera
 from dgeval.simulation.perception import Perceiver
 from dgeval.simulation.proposals import GraspSource, Proposals
@@ -24,6 +23,7 @@ from dgeval.stages.grasping import Feasible
 from dgeval.stages.schedule import Delayed
 from dgeval.stages.selection import by_metric, grasp_metric
 from dgeval.stages.servo import Servo
+from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
 
 OPEN = np.tile([0.0, 0.15, 0.25], 5)  # fingers before a grasp is chosen
 MAX_TWIST = np.array([0.7, 0.7, 0.7, 2.0, 2.0, 2.0])  # m/s, rad/s

@@ -11,7 +11,6 @@ import numpy as np
 
 from dgeval.failure_rule import HANDED_OVER, Facts, FailureClass, Needs, Outcome, Thresholds, Verdict, classify
 from dgeval.geometry import Array, increment, rotation_angle
-from dgeval.physics.closing import AFTER_CLOSE_S, CONTROL_S, NEAR, TRUTH_STEP
 from dgeval.simulation.trial import Run
 from dgeval.simulation.world import (
     Finish,
@@ -21,6 +20,7 @@ from dgeval.simulation.world import (
     matrix_of,
     twin_path,
 )
+from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, NEAR, TRUTH_STEP
 
 COARSE = 3  # times the tick, far from the real close
 FREE_STEPS_M, FREE_STEPS_DEG = (0.0025, 0.005, 0.0075, 0.010), (5.0, 10.0)

@@ -7,13 +7,13 @@ import numpy as np
 from dgeval.determinism import generator
 from dgeval.errors import UsageError
 from dgeval.geometry import Array
-from dgeval.physics.objects import ObjectModel
-from dgeval.physics.presenter import Presenter
-from dgeval.physics.presenter import drawn as drawn_presenter
-from dgeval.physics.scene import TURNTABLE_CENTRE
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.setting import Turn
+from dgeval.worlds.objects import ObjectModel
+from dgeval.worlds.presenter import Presenter
+from dgeval.worlds.presenter import drawn as drawn_presenter
+from dgeval.worlds.scene import TURNTABLE_CENTRE
 
 PLACES_X, PLACES_Y, GAP = (0.36, 0.60), (-0.26, 0.26), 0.025  # m; where objects stand, and what is free between them
 HANDOVER_START = np.array([0.36, 0.0, 0.42])  # m, where the gripper waits, looking 50 degrees down; ours

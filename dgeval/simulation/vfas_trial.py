@@ -10,8 +10,6 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, matrix_from_pose, rotation_angle
-from dgeval.physics.closing import CONTROL_S, NEAR, TRUTH_STEP
-from dgeval.physics.objects import at
 from dgeval.robots.description import load_description
 from dgeval.robots.parallel_jaw import OPEN
 from dgeval.robots.urdf import robot_urdf
@@ -25,6 +23,8 @@ from dgeval.simulation.world import FINISH_S, Finish, Finisher, World
 from dgeval.stages.schedule import Delayed
 from dgeval.stages.vfas import Selected
 from dgeval.stages.vfas_loop import VfasLoop, proportional_twist
+from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
+from dgeval.worlds.objects import at
 
 ARRIVED_M, ADVANCE_S = 0.003, 3.0  # the last advance ends within so much of the grasp, or after so long
 NEAR_HOME = np.array([0.0, -0.37, 0.0, 2.32, 0.0, -1.19, 0.0])  # where inverse kinematics starts from

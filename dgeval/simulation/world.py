@@ -9,15 +9,15 @@ import mujoco
 import numpy as np
 
 from dgeval.geometry import Array, transform
-from dgeval.physics.closing import CONTROL_S, LIFT_S, MAX_FROM_HAND, MIN_LIFT, SETTLE_S, SUBSTEPS, finishing_twist
-from dgeval.physics.objects import ObjectModel
-from dgeval.physics.presenter import GRIP, GRIPPED_N, RELEASE_S
-from dgeval.physics.scene import TURNTABLE_TOP, Camera, build, finger_forces, least_distance, pose_of
 from dgeval.robots.diana7 import DAMPING, STIFFNESS, ArmKinematics
 from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
 from dgeval.robots.dlr_hit_hand import CLOSE_S, T_hand_palm
 from dgeval.robots.hand import FIVE_FINGERS, Gripper
 from dgeval.simulation.setting import Setting, present
+from dgeval.worlds.closing import CONTROL_S, LIFT_S, MAX_FROM_HAND, MIN_LIFT, SETTLE_S, SUBSTEPS, finishing_twist
+from dgeval.worlds.objects import ObjectModel
+from dgeval.worlds.presenter import GRIP, GRIPPED_N, RELEASE_S
+from dgeval.worlds.scene import TURNTABLE_TOP, Camera, build, finger_forces, least_distance, pose_of
 
 HOLD_S = 1.6  # recorded after the lift
 SUCCESS_HOLD_S = 1.0  # after the lift ends (SIMULATION section 5)

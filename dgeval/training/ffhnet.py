@@ -17,11 +17,11 @@ from dgeval.determinism import generator
 from dgeval.errors import UsageError
 from dgeval.geometry import Array, invert
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, palms_of
-from dgeval.physics.objects import procedural_object
 from dgeval.robots.dlr_hit_hand import GRASP_CENTRE, T_hand_palm
 from dgeval.training.grasp_data import GraspData, read_grasps
 from dgeval.training.loop import optimise
 from dgeval.training.views import views_of
+from dgeval.worlds.objects import procedural_object
 
 Kind = Literal["generator", "evaluator", "evaluator_fingers"]
 # weights of the generator's loss (PAPERS section 1.5): translation, rotation, joints, KL

@@ -20,12 +20,12 @@ from dgeval import __version__
 from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, increment, invert
 from dgeval.networks.ffhnet import FFHGenerator, load_evaluator, load_generator
-from dgeval.physics.objects import ObjectModel, at, procedural_object, surface_points
 from dgeval.recording.containers import sha256_of
 from dgeval.robots.dlr_hit_hand import T_hand_palm
 from dgeval.simulation.grasps import FlyingHand, candidate
 from dgeval.stages.grasping import Candidates, EncodedCloud, Networks, draw, encode_cloud, free_of, propose
 from dgeval.training.views import cloud_of, views_of
+from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_points
 
 VERSION = 2  # of what is drawn below: files of another one are made again
 NOISE_SCALES = ((0.003, np.radians(3)), (0.008, np.radians(8)), (0.016, np.radians(16)))  # m, rad; perturbed positives

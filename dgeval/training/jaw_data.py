@@ -20,13 +20,13 @@ from scipy.spatial.transform import Rotation
 from dgeval import __version__
 from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, invert, transform
-from dgeval.physics.objects import ObjectModel, at, procedural_object, surface_points
-from dgeval.physics.scene import Camera, pose_of
 from dgeval.robots.parallel_jaw import T_hand_camera
 from dgeval.simulation.jaw_grasps import FlyingJaw, between_fingers, seed_pose
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.sensors import D405, depth_intrinsics
 from dgeval.stages.vfas import perturbed
+from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_points
+from dgeval.worlds.scene import Camera, pose_of
 
 VERSION = 1
 SIZE = 160, 120  # px of the drawn view; some three thousand points in the crop

@@ -21,12 +21,12 @@ from dgeval.geometry import Array, invert
 from dgeval.networks.point_sets import crop
 from dgeval.networks.pointnet2 import CROP_HIGH, CROP_LOW, VFAS, GraspEvaluator, save_evaluator
 from dgeval.parallel import write_all
-from dgeval.physics.objects import procedural_object
 from dgeval.robots.parallel_jaw import link_points
 from dgeval.stages.vfas import LEAST_POINTS
 from dgeval.training.jaw_data import Scene, read_scenes, write_scenes
 from dgeval.training.loop import optimise
 from dgeval.training.ship import scores_of
+from dgeval.worlds.objects import procedural_object
 
 NOISE, GRAZING_DROP = 0.002, 0.7  # m on each axis; probability (VFAS section III-B)
 FLOATING = 0.3  # share of scenes shown without their table, as in a handover (ours)

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
 from dgeval.networks.bps import basis, encode
-from dgeval.physics.objects import ObjectModel, surface_points
 from dgeval.simulation.clouds import seen_from
+from dgeval.worlds.objects import ObjectModel, surface_points
 
 MOST_TILT = np.radians(75)  # of a camera on a hand that comes from aslant
 POINTS = 1500  # of a cloud; replay's have up to 4096, which moves distances by less than the noise

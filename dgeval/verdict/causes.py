@@ -14,10 +14,10 @@ import numpy as np
 from dgeval.determinism import generator
 from dgeval.failure_rule import HANDED_OVER, Facts, FailureClass, Needs, SubCause, Thresholds, Verdict, classify
 from dgeval.geometry import Array, rotation_angle
-from dgeval.physics.closing import AFTER_CLOSE_S, CONTROL_S
-from dgeval.physics.shape import solid_from_cloud
 from dgeval.verdict.evidence import Scene
 from dgeval.verdict.twin import Sample, Twin
+from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S
+from dgeval.worlds.shape import solid_from_cloud
 
 CLASSES: tuple[FailureClass, ...] = ("imprecise_pose", "collision", "timing")
 NOT_REPRODUCED = 0.3  # weight of a draw in which the recorded failure does not happen

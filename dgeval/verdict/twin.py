@@ -13,7 +13,9 @@ import numpy as np
 
 from dgeval.failure_rule import Facts, Needs, Thresholds, Verdict, classify
 from dgeval.geometry import Array, invert, rotation_vector
-from dgeval.physics.closing import (
+from dgeval.robots.dlr_hit_hand import CLOSE_S
+from dgeval.verdict.evidence import Scene
+from dgeval.worlds.closing import (
     AFTER_CLOSE_S,
     CONTROL_S,
     LIFT_S,
@@ -24,11 +26,9 @@ from dgeval.physics.closing import (
     SUBSTEPS,
     finishing_twist,
 )
-from dgeval.physics.objects import ObjectModel
-from dgeval.physics.presenter import GRIP, GRIPPED_N, RELEASE_S
-from dgeval.physics.scene import TIMESTEP, build, finger_forces, least_distance
-from dgeval.robots.dlr_hit_hand import CLOSE_S
-from dgeval.verdict.evidence import Scene
+from dgeval.worlds.objects import ObjectModel
+from dgeval.worlds.presenter import GRIP, GRIPPED_N, RELEASE_S
+from dgeval.worlds.scene import TIMESTEP, build, finger_forces, least_distance
 
 STEP = 6  # control periods between the close times tried; half of it around lone successes
 FREE_STEPS_M = (0.003, 0.006, 0.010, 0.014)  # beyond the rule's 10 mm by what the object's own place is uncertain

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from dgeval.geometry import Array
-from dgeval.physics.objects import ObjectModel, Part, at, vessel
-from dgeval.physics.texture import Look
+from dgeval.worlds.objects import ObjectModel, Part, at, vessel
+from dgeval.worlds.textures import Look
 
 LOOK = Look("mottled", (150, 150, 150))
 DENSITY = 350.0  # kg/m^3, of the household objects in SIMULATION section 7 (70 to 900); unknown from a log

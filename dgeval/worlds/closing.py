@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dgeval.geometry import Array
-from dgeval.physics.scene import TIMESTEP
 from dgeval.robots.dlr_hit_hand import CLOSE_S
+from dgeval.worlds.scene import TIMESTEP
 
 CONTROL_S = 0.010  # period of the control loop
 SUBSTEPS = round(CONTROL_S / TIMESTEP)

@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 
 from dgeval.geometry import Array, Intrinsics
-from dgeval.physics.objects import ObjectModel, add_object
-from dgeval.physics.presenter import add_presenter
-from dgeval.physics.texture import add_ground
 from dgeval.robots.diana7 import add_arm
 from dgeval.robots.dlr_hit_hand import add_hand, place
 from dgeval.robots.parallel_jaw import add_gripper
+from dgeval.worlds.objects import ObjectModel, add_object
+from dgeval.worlds.presenter import add_presenter
+from dgeval.worlds.textures import add_ground
 
 BELT_CENTRE, BELT_HALF = (0.50, 0.0), (0.22, 0.95)  # m; it runs along y
 FLOOR = -0.60  # m

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, transform
-from dgeval.physics.texture import Look, add_material
 from dgeval.robots.dlr_hit_hand import place
+from dgeval.worlds.textures import Look, add_material
 
 Kind = Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "hull"]
 OBJECT_GROUP = 2  # of what is seen: the object, to be drawn alone
