@@ -19,7 +19,8 @@ import numpy as np
 import pandas as pd
 from dgeval.config import Config, load_config
 from dgeval.geometry import Array, invert
-from dgeval.recording.trials import Trial, TrialSpec, open_trial
+from dgeval.recording.manifest import TrialSpec
+from dgeval.recording.trials import Trial, open_trial
 from dgeval.run import file_name, replay_trial
 
 from benchmarks import moving_measures as measure

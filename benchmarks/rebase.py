@@ -20,7 +20,8 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.geometry import Array, pose_from_matrix
 from dgeval.recording.images import decode_image, depth_from
-from dgeval.recording.trials import Trial, TrialSpec, open_trial
+from dgeval.recording.manifest import TrialSpec
+from dgeval.recording.trials import Trial, open_trial
 from dgeval.recording.write import (
     TYPES,
     McapWriter,

@@ -21,7 +21,7 @@ import numpy as np
 from dgeval.config import load_config
 from dgeval.determinism import generator, set_thread_variables
 from dgeval.geometry import increment, matrix_from_pose
-from dgeval.recording.trials import TrialSpec, find_trials
+from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.write import STORE, McapWriter
 from dgeval.report.summary import read_truth
 from dgeval.robots.urdf import CAMERA_FRAME

@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from dgeval.config import Config
-from dgeval.recording.trials import TrialSpec, find_trials, open_trial
+from dgeval.recording.manifest import TrialSpec, find_trials
+from dgeval.recording.trials import open_trial
 
 from benchmarks import result, synthetic
 from benchmarks.motion import Motion

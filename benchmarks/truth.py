@@ -15,8 +15,9 @@ import numpy as np
 import pandas as pd
 from dgeval.config import load_config
 from dgeval.geometry import invert, matrix_from_pose, rotation_angle
+from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.messages import poses_of
-from dgeval.recording.trials import TrialSpec, find_trials, open_trial
+from dgeval.recording.trials import open_trial
 from dgeval.run import file_name
 from dgeval.stages.perception import POSE as POSE_NAMES
 from matplotlib import rc_context

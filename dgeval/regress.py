@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 from dgeval.compare.comparison import Comparison, compare_runs
 from dgeval.compare.paired import METRICS
 from dgeval.errors import OtherRecordingsError, Place, UsageError
-from dgeval.recording.trials import TrialSpec
+from dgeval.recording.manifest import TrialSpec
 from dgeval.results import Run, read_run
 from dgeval.run import file_name
 from dgeval.schema import SCHEMA_VERSION

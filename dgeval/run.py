@@ -23,7 +23,8 @@ from dgeval.determinism import fingerprint, limit_threads
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError, describe
 from dgeval.geometry import Array
 from dgeval.hindsight import Hindsight, Seen, Surface, look_back, seen_of
-from dgeval.recording.trials import Trial, TrialSpec, open_trial
+from dgeval.recording.manifest import TrialSpec
+from dgeval.recording.trials import Trial, open_trial
 from dgeval.replay import Step, grasp_source, recorded_seed, replay
 from dgeval.schema import (
     FRAMES,

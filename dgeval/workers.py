@@ -11,7 +11,7 @@ from pathlib import Path
 from dgeval.config import Config
 from dgeval.determinism import set_thread_variables
 from dgeval.errors import EXIT_INTERNAL
-from dgeval.recording.trials import TrialSpec
+from dgeval.recording.manifest import TrialSpec
 from dgeval.run import ReviewFactory, TrialResult, replay_trial
 
 

@@ -32,7 +32,7 @@ import lz4.frame
 import numpy as np
 import zstandard
 from dgeval.errors import DgevalError, UndecodableError
-from dgeval.recording.containers import open_container
+from dgeval.recording.containers.opening import open_container
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as BagWriter

@@ -14,7 +14,7 @@ from dgeval.cli import app
 from dgeval.cli.boundary import command
 from dgeval.config import load_config
 from dgeval.errors import EXIT_CODES, Place, UsageError
-from dgeval.recording.trials import TrialSpec
+from dgeval.recording.manifest import TrialSpec
 from dgeval.run import finish_run, replay_trial
 from typer.testing import CliRunner
 

@@ -22,7 +22,7 @@ from dgeval.compare.output import as_html, as_json, as_markdown
 from dgeval.compare.paired import METRICS, answers, holm, mcnemar, signed_rank, trials_needed, walsh_interval
 from dgeval.config import load_config
 from dgeval.errors import UsageError
-from dgeval.recording.trials import find_trials
+from dgeval.recording.manifest import find_trials
 from dgeval.results import Run, read_run
 from dgeval.run import finish_run, replay_trial
 from dgeval.schema import STAGES

@@ -13,9 +13,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from dgeval.geometry import matrix_from_pose, transform
-from dgeval.recording.containers import open_container
+from dgeval.recording.containers.opening import open_container
+from dgeval.recording.manifest import find_trials
 from dgeval.recording.scan import scan
-from dgeval.recording.trials import find_trials, open_trial
+from dgeval.recording.trials import open_trial
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 DIGESTS = [f"digest_{s}" for s in ("input", "tracking", "registration", "fusion", "estimation", "grasps", "servo", "execution")]

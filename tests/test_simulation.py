@@ -17,8 +17,9 @@ import pytest
 from dgeval.config import load_config
 from dgeval.errors import UsageError
 from dgeval.geometry import transform
-from dgeval.recording.containers import sha256_of
-from dgeval.recording.trials import find_trials, open_trial
+from dgeval.recording.containers.container import sha256_of
+from dgeval.recording.manifest import find_trials
+from dgeval.recording.trials import open_trial
 from dgeval.robots.dlr_hit_hand import GRASP_CENTRE
 from dgeval.simulation.blame import blame
 from dgeval.simulation.campaign import Campaign, run_campaign, simulate, with_images
@@ -266,7 +267,7 @@ def smoke_verdicts() -> dict[str, dict[str, object]]:
 
 
 def verdict_of(path: Path) -> dict[str, object]:
-    from dgeval.recording.containers import open_container
+    from dgeval.recording.containers.opening import open_container
 
     opened = open_container(path)
     (message,) = opened.messages(frozenset({"/truth/verdict"}))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from dgeval.config import SyncConfig
-from dgeval.recording.synchronise import clean_stamps, pair, tolerance_ns
+from dgeval.recording.clocks import clean_stamps, pair, tolerance_ns
 from hypothesis import given
 from hypothesis import strategies as st
 

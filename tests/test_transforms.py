@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from dgeval.errors import UsageError
 from dgeval.geometry import matrix_from_pose
-from dgeval.recording.containers import open_container
+from dgeval.recording.containers.opening import open_container
 from dgeval.recording.messages import JointSample, event_of
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.scan import scan

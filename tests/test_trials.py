@@ -10,8 +10,10 @@ import pytest
 from dgeval.config import load_config
 from dgeval.errors import UnreadableError, UsageError
 from dgeval.geometry import Intrinsics
-from dgeval.recording.containers import open_container, sha256_of
-from dgeval.recording.trials import find_trials, open_trial
+from dgeval.recording.containers.container import sha256_of
+from dgeval.recording.containers.opening import open_container
+from dgeval.recording.manifest import find_trials
+from dgeval.recording.trials import open_trial
 from dgeval.recording.write import McapWriter, camera_info_message, header, message
 from rosbags.typesys import Stores, get_typestore
 

@@ -43,8 +43,8 @@ def regress(
     from dgeval.compare.review import write_difference
     from dgeval.config import load_config
     from dgeval.errors import EXIT_OK, UsageError
-    from dgeval.recording.containers import sha256_of
-    from dgeval.recording.trials import find_trials
+    from dgeval.recording.containers.container import sha256_of
+    from dgeval.recording.manifest import find_trials
     from dgeval.regress import UNDECIDED, check_dataset, check_recordings, gate, junit, read_baseline, write_baseline
     from dgeval.results import read_run
     from dgeval.run import file_name, finish_run, write_atomically

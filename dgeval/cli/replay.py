@@ -37,7 +37,7 @@ def replay(
     """Replay recordings through the perception and control stages and write tables and review recordings."""
     from dgeval.config import load_config
     from dgeval.errors import UsageError
-    from dgeval.recording.trials import find_trials
+    from dgeval.recording.manifest import find_trials
     from dgeval.run import TrialResult, finish_run
     from dgeval.workers import replay_trials
 

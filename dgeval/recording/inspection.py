@@ -9,11 +9,12 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.errors import DgevalError
-from dgeval.recording.containers import open_container, sha256_of
+from dgeval.recording.clocks import clean_stamps, pair, tolerance_ns
+from dgeval.recording.containers.container import sha256_of
+from dgeval.recording.containers.opening import open_container
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import Scan, scan
-from dgeval.recording.synchronise import clean_stamps, pair, tolerance_ns
 
 
 def inspect_recording(path: Path, config: Config) -> dict[str, Any]:

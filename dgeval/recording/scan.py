@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dgeval.errors import Damage, Place, UndecodableError
 from dgeval.geometry import Array
-from dgeval.recording.containers import Opened, RawMessage
+from dgeval.recording.containers.container import Opened, RawMessage
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import (
     IMAGE_TYPES,

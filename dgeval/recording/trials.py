@@ -5,143 +5,29 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
-from dgeval.config import Config, read_toml, validated
+from dgeval.config import Config
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics, matrix_from_pose
-from dgeval.recording.containers import Opened, open_container, sha256_of
+from dgeval.recording.clocks import StampFaults, clean_stamps, pair, tolerance_ns
+from dgeval.recording.containers.container import Opened, sha256_of
+from dgeval.recording.containers.opening import open_container
 from dgeval.recording.frame import Frame, RecordedGrasp
 from dgeval.recording.images import colour_from, decode_image, depth_from
+from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.messages import Event
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import Scan, scan
-from dgeval.recording.synchronise import StampFaults, clean_stamps, pair, tolerance_ns
 
 GRASP_TOPIC = "/dgeval/belief/grasp"
 SEED_TOPIC = "/dgeval/seed"  # of VFAS-Grasp: another planner's proposal
-SUFFIXES = (".mcap", ".bag", ".db3")
 MAX_WAITING = 64  # images of one role held while their partners are waited for
-
-
-class _ManifestTrial(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-    id: str | None = None
-    recording: str
-    sha256: str | None = None
-    start_ns: int | None = None
-    end_ns: int | None = None
-    frames: tuple[int, int] | None = None
-    bbox: tuple[float, float, float, float] | None = None
-    bbox_time_ns: int | None = None
-    object: str | None = None
-    scenario: str | None = None
-    speed: float | None = None
-    label: str | None = None
-
-
-class _Manifest(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-    name: str = ""
-    simulate: dict[str, Any] = {}  # how simulated recordings are made again; not needed to read them
-    trial: list[_ManifestTrial]
-
-
-@dataclass(frozen=True)
-class TrialSpec:
-    """One trial to replay: which part of which recording, and what is known about it. Times ns, box px."""
-
-    id: str
-    recording: Path
-    start_ns: int | None = None
-    end_ns: int | None = None
-    frames: tuple[int, int] | None = None
-    bbox: tuple[float, float, float, float] | None = None
-    bbox_time_ns: int | None = None
-    object: str | None = None
-    scenario: str | None = None
-    speed: float | None = None
-    label: str | None = None
-    sha256: str | None = None
-
-
-def find_trials(paths: list[Path], events_topic: str | None = None) -> list[TrialSpec]:
-    """Trials of recordings, folders of recordings and manifests, ids unique. UsageError, UnreadableError."""
-    specs: list[TrialSpec] = []
-    for path in paths:
-        if path.suffix == ".toml":
-            specs.extend(_from_manifest(path))
-        elif path.is_dir() and not _is_recording(path):
-            inside = sorted(p for p in path.rglob("*") if _is_recording(p) and not _is_recording(p.parent))
-            if not inside:
-                raise UnreadableError("no recording (.mcap, .bag, .db3) below this folder", Place(str(path)))
-            for file in inside:
-                relative = file.relative_to(path)
-                specs.extend(_of_recording(file, str(relative.with_suffix("") if file.is_file() else relative), events_topic))
-        else:
-            specs.extend(_of_recording(path, path.stem if path.suffix in SUFFIXES else path.name, events_topic))
-    ids = [s.id for s in specs]
-    twice = sorted({i for i in ids if ids.count(i) > 1})
-    if twice:
-        raise UsageError(f"trial ids are not unique: {', '.join(twice)}", hint="give a manifest with an id per trial")
-    return specs
-
-
-def _is_recording(path: Path) -> bool:
-    """A recording file, or a ROS 2 folder with its metadata; without metadata its files stand for themselves."""
-    if path.is_dir():
-        return (path / "metadata.yaml").is_file() and any(p.suffix in (".mcap", ".db3") for p in path.iterdir())
-    return path.suffix in SUFFIXES
-
-
-def _of_recording(path: Path, name: str, events_topic: str | None) -> list[TrialSpec]:
-    """One trial per trial_start event, else the whole recording."""
-    opened = open_container(path)
-    topic = events_topic or "/dgeval/events"
-    starts: list[int] = []
-    ends: list[int] = []
-    if topic in opened.topics:
-        from dgeval.recording.messages import event_of
-
-        for message in opened.messages(frozenset({topic})):
-            try:
-                event = event_of(opened.decode(message).data, message.log_ns)
-            except (ValueError, UndecodableError):
-                continue  # counted as undecodable when the trial is read
-            if event.kind in ("trial_start", "trial_end"):
-                (starts if event.kind == "trial_start" else ends).append(event.t_ns)
-    if not starts:
-        return [TrialSpec(name, path)]
-    out = []
-    for k, start in enumerate(sorted(starts)):
-        later = sorted(t for t in [*starts, *ends] if t > start)
-        # the end belongs to the trial; a next start does not
-        end = later[0] if later and later[0] in ends else (later[0] - 1 if later else None)
-        out.append(TrialSpec(name if len(starts) == 1 else f"{name}#{k}", path, start, end))
-    return out
-
-
-def _from_manifest(path: Path) -> list[TrialSpec]:
-    values = read_toml(path)
-    manifest = validated(_Manifest, values, "manifest", path)
-    out = []
-    for entry in manifest.trial:
-        recording = path.parent / entry.recording
-        given = entry.model_dump(exclude={"recording", "id"})
-        if entry.start_ns is None and entry.frames is None:
-            for spec in _of_recording(recording, entry.id or str(Path(entry.recording).with_suffix("")), None):
-                times = {"start_ns": spec.start_ns, "end_ns": entry.end_ns or spec.end_ns}
-                out.append(TrialSpec(spec.id, recording, **{**given, **times}))
-        else:
-            out.append(TrialSpec(entry.id or str(Path(entry.recording).with_suffix("")), recording, **given))
-    return out
 
 
 @dataclass

@@ -10,8 +10,8 @@ from typing import Any
 
 import pandas as pd
 
-from dgeval.recording.containers import open_container
-from dgeval.recording.trials import find_trials
+from dgeval.recording.containers.opening import open_container
+from dgeval.recording.manifest import find_trials
 from dgeval.statistics import confusion, macro_f1, wilson
 
 CLASSES = ("imprecise_pose", "collision", "timing")

@@ -22,7 +22,7 @@ from typing import Any
 
 from dgeval import __version__
 from dgeval.determinism import fingerprint, limit_threads, set_thread_variables
-from dgeval.recording.containers import sha256_of
+from dgeval.recording.containers.container import sha256_of
 from dgeval.simulation.blame import blame
 from dgeval.simulation.grasps import KnownGrasp, known_grasps
 from dgeval.simulation.meshes import load_meshes

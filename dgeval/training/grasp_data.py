@@ -20,7 +20,7 @@ from dgeval import __version__
 from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, increment, invert
 from dgeval.networks.ffhnet import FFHGenerator, load_evaluator, load_generator
-from dgeval.recording.containers import sha256_of
+from dgeval.recording.containers.container import sha256_of
 from dgeval.robots.dlr_hit_hand import T_hand_palm
 from dgeval.simulation.grasps import FlyingHand, candidate
 from dgeval.stages.grasping import Candidates, EncodedCloud, Networks, draw, encode_cloud, free_of, propose

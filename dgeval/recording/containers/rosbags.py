@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
-from dgeval.recording.containers import RawMessage, Topic
+from dgeval.recording.containers.container import RawMessage, Topic
 
 BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO = 3, 4, 5, 6  # record kinds of the ROS bag format 2.0
 ORPHANS = "SELECT COUNT(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM topics)"

@@ -23,7 +23,7 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
-from dgeval.recording.containers import MCAP_MAGIC, RawMessage, Topic
+from dgeval.recording.containers.container import MCAP_MAGIC, RawMessage, Topic
 from dgeval.recording.encodings import DECODERS
 
 FOOTER_LENGTH = 1 + 8 + 20

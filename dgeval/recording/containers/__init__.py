@@ -1,0 +1,1 @@
+"""Files as recordings: one file per format, one face for all of them."""
