@@ -17,8 +17,8 @@ import numpy as np
 from dgeval.config import RegistrationConfig
 from dgeval.determinism import limit_threads, set_thread_variables
 from dgeval.geometry import Array, Intrinsics, invert, rotation_angle
-from dgeval.stages.registration import BACKENDS, gate, register
-from dgeval.stages.types import Features, Model, Observation
+from dgeval.perception.registration import BACKENDS, gate, register
+from dgeval.perception.types import Features, Model, Observation
 
 from benchmarks import registration_scenes as scenes
 from benchmarks import result

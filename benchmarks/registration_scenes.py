@@ -8,10 +8,10 @@ import numpy as np
 from datasets.raycast import Box, Scene, add_noise, render
 from dgeval.config import FusionConfig, ObservationConfig
 from dgeval.geometry import Array, Intrinsics, increment, invert, transform
+from dgeval.perception.fusion import Fusion
+from dgeval.perception.observation import observe
+from dgeval.perception.types import Features, Model, Observation, Tracked
 from dgeval.recording.frame import Frame
-from dgeval.stages.fusion import Fusion
-from dgeval.stages.observation import observe
-from dgeval.stages.types import Features, Model, Observation, Tracked
 from numpy.typing import NDArray
 
 from benchmarks.synthetic import look_at

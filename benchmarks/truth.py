@@ -15,11 +15,11 @@ import numpy as np
 import pandas as pd
 from dgeval.config import load_config
 from dgeval.geometry import invert, matrix_from_pose, rotation_angle
+from dgeval.perception.pipeline import POSE as POSE_NAMES
 from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.messages import poses_of
 from dgeval.recording.trials import open_trial
 from dgeval.run import file_name
-from dgeval.stages.perception import POSE as POSE_NAMES
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 

@@ -17,16 +17,16 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.geometry import Array, invert, rotation_angle, transform
+from dgeval.perception.pipeline import Perception
+from dgeval.perception.plane import Plane
+from dgeval.perception.registration import register
+from dgeval.perception.self_filter import signed_distance
+from dgeval.perception.trackers.model import ModelTracker
+from dgeval.perception.types import Model, Observation
 from dgeval.recording.frame import Frame
 from dgeval.recording.trials import GRASP_TOPIC, Trial
 from dgeval.replay import Step
-from dgeval.stages.perception import Perception
-from dgeval.stages.plane import Plane
-from dgeval.stages.registration import register
-from dgeval.stages.self_filter import signed_distance
 from dgeval.stages.smoothing import Path, Sighting, smooth
-from dgeval.stages.tracking_model import ModelTracker
-from dgeval.stages.types import Model, Observation
 
 GapSided = Literal["none", "one", "two"]
 KnownBy = Literal["path", "registration", "depth", "colour", "hand", "support"]

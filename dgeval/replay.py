@@ -14,16 +14,16 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.geometry import Array, matrix_from_pose, transform
+from dgeval.perception.pipeline import Perception, pose_columns
+from dgeval.perception.target import find_target
+from dgeval.perception.types import Model, Tracked
 from dgeval.recording.frame import Frame
 from dgeval.recording.trials import GRASP_TOPIC, SEED_TOPIC, Trial
 from dgeval.robots.dlr_hit_hand import ACTUATED
 from dgeval.stages.execution import execute
-from dgeval.stages.perception import Perception, pose_columns
 from dgeval.stages.recorded_grasps import Choice, RecordedGrasps
 from dgeval.stages.schedule import Delayed
 from dgeval.stages.servo import Servo
-from dgeval.stages.target import find_target
-from dgeval.stages.types import Model, Tracked
 
 if TYPE_CHECKING:
     from dgeval.stages.model_grasps import ModelGrasps

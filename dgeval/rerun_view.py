@@ -19,10 +19,10 @@ import rerun.blueprint as rrb
 from dgeval.config import Config
 from dgeval.geometry import Array, transform
 from dgeval.hindsight import Hindsight, nearest_link
+from dgeval.perception.self_filter import Hand
 from dgeval.recording.trials import Trial
 from dgeval.replay import Step
 from dgeval.robots.description import LinkShape
-from dgeval.stages.self_filter import Hand
 from dgeval.verdict.judge import Judgement
 
 TIMELINE = "time"

@@ -23,6 +23,7 @@ from dgeval.determinism import fingerprint, limit_threads
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError, describe
 from dgeval.geometry import Array
 from dgeval.hindsight import Hindsight, Seen, Surface, look_back, seen_of
+from dgeval.perception.pipeline import Perception, pose_columns
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
 from dgeval.replay import Step, grasp_source, recorded_seed, replay
@@ -37,7 +38,6 @@ from dgeval.schema import (
     arrow_schema,
     arrow_table,
 )
-from dgeval.stages.perception import Perception, pose_columns
 from dgeval.verdict.judge import Judgement, judge
 from dgeval.verdict.picture import decisive_picture
 

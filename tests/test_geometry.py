@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from dgeval import geometry as g
-from dgeval.stages.plane import Plane
+from dgeval.perception.plane import Plane
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp

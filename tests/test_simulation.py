@@ -17,6 +17,7 @@ import pytest
 from dgeval.config import load_config
 from dgeval.errors import UsageError
 from dgeval.geometry import transform
+from dgeval.perception.self_filter import hand_pixels
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
@@ -29,7 +30,6 @@ from dgeval.simulation.perception import depth_profile, true_cameras
 from dgeval.simulation.scenario import Plan, load_scenario, plan_trial
 from dgeval.simulation.truth import Prover, Truth, prove
 from dgeval.simulation.world import World
-from dgeval.stages.self_filter import hand_pixels
 from dgeval.worlds.objects import ten_objects
 
 ROOT = Path(__file__).resolve().parents[1]

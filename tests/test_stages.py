@@ -17,22 +17,22 @@ from dgeval.config import (
 from dgeval.determinism import generator
 from dgeval.errors import MissingDependencyError
 from dgeval.geometry import Intrinsics, increment, invert, matrix_from_pose, transform
+from dgeval.perception import align
+from dgeval.perception.estimation import VelocityFilter
+from dgeval.perception.fusion import Fusion, supported
+from dgeval.perception.observation import observe
+from dgeval.perception.plane import fit_plane
+from dgeval.perception.registration import BACKENDS, gate, register
+from dgeval.perception.self_filter import hand_pixels, signed_distance
+from dgeval.perception.types import Model, Observation, Registration, Tracked
 from dgeval.recording.frame import Frame
 from dgeval.robots.description import LinkShape
 from dgeval.robots.dlr_hit_hand import T_hand_palm
-from dgeval.stages import align
-from dgeval.stages.estimation import VelocityFilter
 from dgeval.stages.execution import execute
-from dgeval.stages.fusion import Fusion, supported
 from dgeval.stages.grasping import overlap_allowed
-from dgeval.stages.observation import observe
-from dgeval.stages.plane import fit_plane
-from dgeval.stages.registration import BACKENDS, gate, register
 from dgeval.stages.schedule import Delayed
 from dgeval.stages.selection import by_metric, grasp_metric
-from dgeval.stages.self_filter import hand_pixels, signed_distance
 from dgeval.stages.servo import Servo, blend_rotation, look_at_rotation
-from dgeval.stages.types import Model, Observation, Registration, Tracked
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation

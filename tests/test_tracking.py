@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from dgeval.config import load_config
 from dgeval.geometry import Intrinsics, invert, rotation_angle
+from dgeval.perception.segmentation import points_of
+from dgeval.perception.trackers.model import ModelTracker, TrackingInput
 from dgeval.recording.frame import Frame
 from dgeval.replay import Step, replay
 from dgeval.robots.description import LinkShape
-from dgeval.stages.segmentation import points_of
-from dgeval.stages.tracking_model import ModelTracker, TrackingInput
 from scipy.spatial.transform import Rotation
 
 from raycast import Box, Capsule, Scene, add_noise, printed, render, speckle

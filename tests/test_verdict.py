@@ -16,15 +16,15 @@ from benchmarks.verdict import scene_from
 from dgeval.config import Config
 from dgeval.geometry import Array, increment, transform
 from dgeval.hindsight import Seen, Surface, _priors, look_back
+from dgeval.perception.plane import Plane
+from dgeval.perception.types import Model
 from dgeval.recording.messages import StampedPose
 from dgeval.report.summary import failure_shares, published, read_truth, success_by
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, load_scenario
-from dgeval.stages.plane import Plane
 from dgeval.stages.smoothing import Path as ObjectPath
 from dgeval.stages.smoothing import Sighting, smooth
-from dgeval.stages.types import Model
 from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.verdict import outcome
 from dgeval.verdict.beliefs import Beliefs, beliefs_of, gains_of, growth, laid_on, steady

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.geometry import Array, increment, invert, transform
+from dgeval.perception.pipeline import Perception
 from dgeval.recording.frame import Frame
 from dgeval.robots.description import Description, LinkShape, load_description
 from dgeval.robots.dlr_hit_hand import T_hand_camera
@@ -17,7 +18,6 @@ from dgeval.simulation.perception import Sight
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import World
-from dgeval.stages.perception import Perception
 from dgeval.worlds.scene import pose_of
 
 

@@ -12,12 +12,12 @@ import numpy as np
 from dgeval.config import SelectionConfig
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert
+from dgeval.perception.estimation import VelocityFilter
 from dgeval.robots.dlr_hit_hand import MAX_SPEED, T_hand_camera
 from dgeval.simulation.perception import Perceiver
 from dgeval.simulation.proposals import GraspSource, Proposals
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import FINISH_S, Finish, Finisher, Snapshot, World, home
-from dgeval.stages.estimation import VelocityFilter
 from dgeval.stages.execution import execute
 from dgeval.stages.grasping import Feasible
 from dgeval.stages.schedule import Delayed

@@ -10,6 +10,7 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.geometry import Array, invert, transform
+from dgeval.perception.types import Model
 from dgeval.recording.frame import Frame
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
@@ -29,7 +30,6 @@ from dgeval.stages.reachability import Arm, arm_of
 from dgeval.stages.recorded_grasps import Choice
 from dgeval.stages.schedule import Delayed
 from dgeval.stages.selection import by_metric, grasp_metric
-from dgeval.stages.types import Model
 
 
 @dataclass(frozen=True)

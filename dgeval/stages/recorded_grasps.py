@@ -13,8 +13,8 @@ from dgeval.stages.schedule import Delayed
 from dgeval.stages.selection import grasp_metric
 
 if TYPE_CHECKING:
+    from dgeval.perception.types import Model
     from dgeval.recording.frame import Frame, RecordedGrasp
-    from dgeval.stages.types import Model
 
 
 @dataclass(frozen=True)

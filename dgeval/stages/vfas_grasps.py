@@ -8,8 +8,8 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.geometry import Array, rotation_angle
+from dgeval.perception.pipeline import pose_columns
 from dgeval.recording.frame import Frame
-from dgeval.stages.perception import pose_columns
 from dgeval.stages.schedule import Delayed
 from dgeval.stages.vfas import Selected
 from dgeval.stages.vfas_loop import VfasLoop, proportional_twist

@@ -11,14 +11,14 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, orthonormalise, pose_from_matrix, transform
+from dgeval.perception.estimation import Estimate, VelocityFilter
+from dgeval.perception.fusion import Fusion
+from dgeval.perception.observation import observe
+from dgeval.perception.registration import gate, register
+from dgeval.perception.trackers.csrt import CsrtTracker
+from dgeval.perception.trackers.model import ModelTracker, TrackingInput
+from dgeval.perception.types import Model, Observation, Registration, Tracked
 from dgeval.recording.frame import Frame
-from dgeval.stages.estimation import Estimate, VelocityFilter
-from dgeval.stages.fusion import Fusion
-from dgeval.stages.observation import observe
-from dgeval.stages.registration import gate, register
-from dgeval.stages.tracking_csrt import CsrtTracker
-from dgeval.stages.tracking_model import ModelTracker, TrackingInput
-from dgeval.stages.types import Model, Observation, Registration, Tracked
 
 TRACKERS: dict[str, type[ModelTracker] | type[CsrtTracker]] = {"model": ModelTracker, "csrt": CsrtTracker}
 POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")

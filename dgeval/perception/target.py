@@ -8,10 +8,10 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, transform
+from dgeval.perception import segmentation
+from dgeval.perception.plane import fit_plane
+from dgeval.perception.self_filter import hand_pixels
 from dgeval.recording.frame import Frame
-from dgeval.stages import segmentation
-from dgeval.stages.plane import fit_plane
-from dgeval.stages.self_filter import hand_pixels
 
 MAX_HEIGHT = 0.4  # m over the plane
 MIN_PIXELS = 150

@@ -9,10 +9,10 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.determinism import generator
-from dgeval.stages import segmentation
-from dgeval.stages.self_filter import hand_pixels
-from dgeval.stages.tracking_model import TrackingInput
-from dgeval.stages.types import Tracked
+from dgeval.perception import segmentation
+from dgeval.perception.self_filter import hand_pixels
+from dgeval.perception.trackers.model import TrackingInput
+from dgeval.perception.types import Tracked
 
 
 class CsrtTracker:

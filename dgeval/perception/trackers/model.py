@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from dgeval.config import Config
 from dgeval.determinism import generator
 from dgeval.geometry import Array, Intrinsics, depth_sigma, invert, rotation_angle, transform
+from dgeval.perception import align, segmentation
+from dgeval.perception.plane import Plane
+from dgeval.perception.self_filter import hand_pixels
+from dgeval.perception.trackers.image import Grey, ImageTrack, corners, follow
+from dgeval.perception.types import Features, Model, Tracked, Window
 from dgeval.recording.frame import Frame
-from dgeval.stages import align, segmentation
-from dgeval.stages.plane import Plane
-from dgeval.stages.self_filter import hand_pixels
-from dgeval.stages.tracking_image import Grey, ImageTrack, corners, follow
-from dgeval.stages.types import Features, Model, Tracked, Window
 
 Box = tuple[float, float, float, float]
 MAX_KEYFRAMES = 12

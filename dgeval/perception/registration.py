@@ -15,9 +15,9 @@ from small_gicp import KdTree
 from dgeval.config import RegistrationConfig
 from dgeval.errors import MissingDependencyError
 from dgeval.geometry import Array, Intrinsics, depth_sigma, invert, rotation_angle, transform
-from dgeval.stages import align
-from dgeval.stages.neighbours import nearest
-from dgeval.stages.types import Features, Model, Observation, Registration
+from dgeval.perception import align
+from dgeval.perception.neighbours import nearest
+from dgeval.perception.types import Features, Model, Observation, Registration
 
 Backend = Callable[[Array, Model, Array, RegistrationConfig], Array]
 

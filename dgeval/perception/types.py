@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dgeval.failure_rule import Tracking
 from dgeval.geometry import Array
-from dgeval.stages.plane import Plane
+from dgeval.perception.plane import Plane
 
 Window = tuple[int, int, int, int]
 

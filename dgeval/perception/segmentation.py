@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from dgeval.config import PlaneConfig
 from dgeval.geometry import Array, Intrinsics, cross, depth_sigma
-from dgeval.stages.plane import Plane, fit_plane
-from dgeval.stages.types import Window
+from dgeval.perception.plane import Plane, fit_plane
+from dgeval.perception.types import Window
 
 Mask = NDArray[np.bool_]
 Box = tuple[float, float, float, float]

@@ -10,8 +10,8 @@ from small_gicp import KdTree
 
 from dgeval.config import FusionConfig
 from dgeval.geometry import Array, transform
-from dgeval.stages.neighbours import nearest
-from dgeval.stages.types import Model, Observation
+from dgeval.perception.neighbours import nearest
+from dgeval.perception.types import Model, Observation
 
 
 def supported(points: Array, previous: Sequence[KdTree], epsilon: float) -> NDArray[np.bool_]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from dgeval.config import ObservationConfig
+from dgeval.perception import segmentation
+from dgeval.perception.types import Observation, Tracked
 from dgeval.recording.frame import Frame
-from dgeval.stages import segmentation
-from dgeval.stages.types import Observation, Tracked
 
 
 def observe(frame: Frame, tracked: Tracked, rng: np.random.Generator, config: ObservationConfig) -> Observation | None:

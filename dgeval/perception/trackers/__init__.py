@@ -1,0 +1,1 @@
+"""Trackers of the target in the image: one file each."""
