@@ -18,8 +18,8 @@ from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, invert
 from dgeval.networks.bps import basis, encode
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator
+from dgeval.planning.grasps import Networks, encode_cloud, networks_of, propose
 from dgeval.simulation.grasps import FlyingHand, candidate, known_grasps
-from dgeval.stages.grasping import Networks, encode_cloud, networks_of, propose
 from dgeval.statistics import wilson
 from dgeval.training.grasp_data import free_on_table, holds
 from dgeval.training.ship import scores_of, selected

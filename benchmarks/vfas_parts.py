@@ -19,14 +19,14 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from dgeval.geometry import increment, invert  # noqa: E402
 from dgeval.networks.pointnet2 import PUBLIC, VFAS, GraspEvaluator  # noqa: E402
+from dgeval.planning.vfas.loop import evaluator_of  # noqa: E402
+from dgeval.planning.vfas.selection import GraspJudge, perturbed  # noqa: E402
 from dgeval.robots.parallel_jaw import link_points  # noqa: E402
 from dgeval.simulation.campaign import Campaign, plan_of, simulate  # noqa: E402
 from dgeval.simulation.jaw_grasps import FlyingJaw, between_fingers, seed_pose  # noqa: E402
 from dgeval.simulation.render import Eyes  # noqa: E402
 from dgeval.simulation.scenario import load_scenario  # noqa: E402
 from dgeval.simulation.sensors import D405  # noqa: E402
-from dgeval.stages.vfas import GraspJudge, perturbed  # noqa: E402
-from dgeval.stages.vfas_loop import evaluator_of  # noqa: E402
 from dgeval.training.jaw_data import CAMERAS, scenes_of, view  # noqa: E402
 from dgeval.training.vfas import measure  # noqa: E402
 from dgeval.worlds.objects import at, eight_objects, procedural_object, surface_points  # noqa: E402

@@ -17,17 +17,17 @@ from dgeval.geometry import Array, matrix_from_pose, transform
 from dgeval.perception.pipeline import Perception, pose_columns
 from dgeval.perception.target import find_target
 from dgeval.perception.types import Model, Tracked
+from dgeval.planning.execution import execute
+from dgeval.planning.recorded_grasps import Choice, RecordedGrasps
+from dgeval.planning.schedule import Delayed
+from dgeval.planning.servo import Servo
 from dgeval.recording.frame import Frame
 from dgeval.recording.trials import GRASP_TOPIC, SEED_TOPIC, Trial
 from dgeval.robots.dlr_hit_hand import ACTUATED
-from dgeval.stages.execution import execute
-from dgeval.stages.recorded_grasps import Choice, RecordedGrasps
-from dgeval.stages.schedule import Delayed
-from dgeval.stages.servo import Servo
 
 if TYPE_CHECKING:
-    from dgeval.stages.model_grasps import ModelGrasps
-    from dgeval.stages.vfas_grasps import VfasGrasps
+    from dgeval.planning.model_grasps import ModelGrasps
+    from dgeval.planning.vfas.replayed import VfasGrasps
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None
         return RecordedGrasps(config)
     if source == "none":
         return None
-    from dgeval.stages.model_grasps import ModelGrasps  # brings torch, which takes longer to import than all the rest
+    from dgeval.planning.model_grasps import ModelGrasps  # brings torch, which takes longer to import than all the rest
 
     return ModelGrasps(trial, config)
 
@@ -120,7 +120,7 @@ def recorded_seed(trial: Trial) -> Array | None:
 def _planner(trial: Trial, config: Config) -> VfasGrasps | None:
     if config.pipeline != "vfas":
         return None
-    from dgeval.stages.vfas_grasps import VfasGrasps  # brings torch
+    from dgeval.planning.vfas.replayed import VfasGrasps  # brings torch
 
     return VfasGrasps(config, recorded_seed(trial))
 

@@ -12,9 +12,9 @@ from dgeval.config import VfasConfig
 from dgeval.errors import UsageError
 from dgeval.geometry import increment, rotation_vector, transform
 from dgeval.networks.contact_graspnet import CENTRES, NEIGHBOURS, RADII, ContactGraspNet, load_contact_graspnet
+from dgeval.planning.vfas.loop import evaluator_of, seed_from_cloud, seed_from_contacts
+from dgeval.planning.vfas.selection import GraspJudge
 from dgeval.robots.parallel_jaw import OPENING
-from dgeval.stages.vfas import GraspJudge
-from dgeval.stages.vfas_loop import evaluator_of, seed_from_cloud, seed_from_contacts
 
 N = 2100
 

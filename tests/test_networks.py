@@ -19,16 +19,16 @@ from dgeval.networks import checkpoints
 from dgeval.networks.bps import basis, encode
 from dgeval.networks.checkpoints import LEVELS, read_weights
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_evaluator, load_generator, matrix_from_6d
+from dgeval.planning.execution import execute
+from dgeval.planning.grasps import encode_cloud, evaluate, free_of, networks_of, propose, way_free
+from dgeval.planning.hand_overlap import standing_points
+from dgeval.planning.reachability import arm_of
 from dgeval.robots.description import load_description
 from dgeval.robots.diana7 import LOWER, UPPER, ArmKinematics
 from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.perception import Sight, T_hand_camera
 from dgeval.simulation.proposals import FFHNetGrasps
 from dgeval.simulation.scenario import load_scenario
-from dgeval.stages.execution import execute
-from dgeval.stages.grasping import encode_cloud, evaluate, free_of, networks_of, propose, way_free
-from dgeval.stages.hand_overlap import standing_points
-from dgeval.stages.reachability import arm_of
 from dgeval.training.ship import export
 from hypothesis import given, settings
 from hypothesis import strategies as st

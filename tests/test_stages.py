@@ -25,14 +25,14 @@ from dgeval.perception.plane import fit_plane
 from dgeval.perception.registration import BACKENDS, gate, register
 from dgeval.perception.self_filter import hand_pixels, signed_distance
 from dgeval.perception.types import Model, Observation, Registration, Tracked
+from dgeval.planning.execution import execute
+from dgeval.planning.grasps import overlap_allowed
+from dgeval.planning.schedule import Delayed
+from dgeval.planning.selection import by_metric, grasp_metric
+from dgeval.planning.servo import Servo, blend_rotation, look_at_rotation
 from dgeval.recording.frame import Frame
 from dgeval.robots.description import LinkShape
 from dgeval.robots.dlr_hit_hand import T_hand_palm
-from dgeval.stages.execution import execute
-from dgeval.stages.grasping import overlap_allowed
-from dgeval.stages.schedule import Delayed
-from dgeval.stages.selection import by_metric, grasp_metric
-from dgeval.stages.servo import Servo, blend_rotation, look_at_rotation
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation

@@ -15,11 +15,11 @@ from dgeval.geometry import Intrinsics, increment, rotation_angle
 from dgeval.networks.checkpoints import read_weights
 from dgeval.networks.point_sets import crop, farthest_points, neighbours_in_ball
 from dgeval.networks.pointnet2 import VFAS, GraspEvaluator, Sizes, load_evaluator
+from dgeval.planning.vfas.loop import VfasLoop, evaluator_of, proportional_twist
+from dgeval.planning.vfas.motion_field import MotionField, dis_flow
+from dgeval.planning.vfas.one_euro import OneEuroFilter, PoseFilter
+from dgeval.planning.vfas.selection import GraspJudge, Vfas, distances, perturbed
 from dgeval.robots.parallel_jaw import DISTAL, OPENING, PROXIMAL, link_points
-from dgeval.stages.motion_field import MotionField, dis_flow
-from dgeval.stages.one_euro import OneEuroFilter, PoseFilter
-from dgeval.stages.vfas import GraspJudge, Vfas, distances, perturbed
-from dgeval.stages.vfas_loop import VfasLoop, evaluator_of, proportional_twist
 
 # the 1 euro filter
 

@@ -22,6 +22,7 @@ from typing import Any
 
 from dgeval import __version__
 from dgeval.determinism import fingerprint, limit_threads, set_thread_variables
+from dgeval.planning.grasps import networks_of
 from dgeval.recording.containers.container import sha256_of
 from dgeval.simulation.blame import blame
 from dgeval.simulation.grasps import KnownGrasp, known_grasps
@@ -38,7 +39,6 @@ from dgeval.simulation.truth import prove
 from dgeval.simulation.vfas_plan import plan_vfas
 from dgeval.simulation.vfas_trial import run_vfas
 from dgeval.simulation.world import World, twin_path
-from dgeval.stages.grasping import networks_of
 from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S
 from dgeval.worlds.objects import ObjectModel, eight_objects, ten_objects
 from dgeval.worlds.scene import Camera

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from dgeval.config import GraspsConfig
 from dgeval.geometry import Array, invert, rotation_angle
+from dgeval.planning.grasps import EncodedCloud, Networks, encode_cloud, evaluate, free_of, overlap_allowed, propose, way_free
 from dgeval.simulation.grasps import KnownGrasp
 from dgeval.simulation.perception import Sight
 from dgeval.simulation.scenario import EvaluatorConfig
-from dgeval.stages.grasping import EncodedCloud, Networks, encode_cloud, evaluate, free_of, overlap_allowed, propose, way_free
 
 
 @dataclass(frozen=True)

@@ -13,16 +13,16 @@ from dgeval.config import SelectionConfig
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert
 from dgeval.perception.estimation import VelocityFilter
+from dgeval.planning.execution import execute
+from dgeval.planning.grasps import Feasible
+from dgeval.planning.schedule import Delayed
+from dgeval.planning.selection import by_metric, grasp_metric
+from dgeval.planning.servo import Servo
 from dgeval.robots.dlr_hit_hand import MAX_SPEED, T_hand_camera
 from dgeval.simulation.perception import Perceiver
 from dgeval.simulation.proposals import GraspSource, Proposals
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import FINISH_S, Finish, Finisher, Snapshot, World, home
-from dgeval.stages.execution import execute
-from dgeval.stages.grasping import Feasible
-from dgeval.stages.schedule import Delayed
-from dgeval.stages.selection import by_metric, grasp_metric
-from dgeval.stages.servo import Servo
 from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
 
 OPEN = np.tile([0.0, 0.15, 0.25], 5)  # fingers before a grasp is chosen

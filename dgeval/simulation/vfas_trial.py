@@ -10,6 +10,9 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, matrix_from_pose, rotation_angle
+from dgeval.planning.schedule import Delayed
+from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
+from dgeval.planning.vfas.selection import Selected
 from dgeval.robots.description import load_description
 from dgeval.robots.parallel_jaw import OPEN
 from dgeval.robots.urdf import robot_urdf
@@ -20,9 +23,6 @@ from dgeval.simulation.seeing import Images, look
 from dgeval.simulation.trial import REACHED, FrameBelief, Run, Tick, frame_ticks, limited
 from dgeval.simulation.vfas_plan import waiting_pose
 from dgeval.simulation.world import FINISH_S, Finish, Finisher, World
-from dgeval.stages.schedule import Delayed
-from dgeval.stages.vfas import Selected
-from dgeval.stages.vfas_loop import VfasLoop, proportional_twist
 from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
 from dgeval.worlds.objects import at
 

@@ -20,10 +20,10 @@ from dgeval import __version__
 from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, increment, invert
 from dgeval.networks.ffhnet import FFHGenerator, load_evaluator, load_generator
+from dgeval.planning.grasps import Candidates, EncodedCloud, Networks, draw, encode_cloud, free_of, propose
 from dgeval.recording.containers.container import sha256_of
 from dgeval.robots.dlr_hit_hand import T_hand_palm
 from dgeval.simulation.grasps import FlyingHand, candidate
-from dgeval.stages.grasping import Candidates, EncodedCloud, Networks, draw, encode_cloud, free_of, propose
 from dgeval.training.views import cloud_of, views_of
 from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_points
 

@@ -20,11 +20,11 @@ from scipy.spatial.transform import Rotation
 from dgeval import __version__
 from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, invert, transform
+from dgeval.planning.vfas.selection import perturbed
 from dgeval.robots.parallel_jaw import T_hand_camera
 from dgeval.simulation.jaw_grasps import FlyingJaw, between_fingers, seed_pose
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.sensors import D405, depth_intrinsics
-from dgeval.stages.vfas import perturbed
 from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_points
 from dgeval.worlds.scene import Camera, pose_of
 

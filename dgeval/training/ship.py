@@ -18,7 +18,7 @@ from dgeval.determinism import limit_threads
 from dgeval.networks.checkpoints import quantised
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_generator, palms_of
 from dgeval.parallel import write_all
-from dgeval.stages.grasping import Networks
+from dgeval.planning.grasps import Networks
 from dgeval.training.ffhnet import Kind, ObjectData, Settings, calibrate, load_objects, train, tune
 from dgeval.training.grasp_data import try_selected, write_grasps
 from dgeval.worlds.objects import procedural_object

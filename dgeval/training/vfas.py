@@ -21,8 +21,8 @@ from dgeval.geometry import Array, invert
 from dgeval.networks.point_sets import crop
 from dgeval.networks.pointnet2 import CROP_HIGH, CROP_LOW, VFAS, GraspEvaluator, save_evaluator
 from dgeval.parallel import write_all
+from dgeval.planning.vfas.selection import LEAST_POINTS
 from dgeval.robots.parallel_jaw import link_points
-from dgeval.stages.vfas import LEAST_POINTS
 from dgeval.training.jaw_data import Scene, read_scenes, write_scenes
 from dgeval.training.loop import optimise
 from dgeval.training.ship import scores_of

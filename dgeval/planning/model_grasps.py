@@ -11,10 +11,7 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.geometry import Array, invert, transform
 from dgeval.perception.types import Model
-from dgeval.recording.frame import Frame
-from dgeval.recording.robot import JointTrack
-from dgeval.recording.trials import Trial
-from dgeval.stages.grasping import (
+from dgeval.planning.grasps import (
     Candidates,
     EncodedCloud,
     Feasible,
@@ -26,10 +23,13 @@ from dgeval.stages.grasping import (
     propose,
     way_free,
 )
-from dgeval.stages.reachability import Arm, arm_of
-from dgeval.stages.recorded_grasps import Choice
-from dgeval.stages.schedule import Delayed
-from dgeval.stages.selection import by_metric, grasp_metric
+from dgeval.planning.reachability import Arm, arm_of
+from dgeval.planning.recorded_grasps import Choice
+from dgeval.planning.schedule import Delayed
+from dgeval.planning.selection import by_metric, grasp_metric
+from dgeval.recording.frame import Frame
+from dgeval.recording.robot import JointTrack
+from dgeval.recording.trials import Trial
 
 
 @dataclass(frozen=True)

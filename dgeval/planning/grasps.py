@@ -26,7 +26,7 @@ from dgeval.networks.ffhnet import (
     palms_of,
     poses_of,
 )  # fmt: skip
-from dgeval.stages.hand_overlap import depth_below, overlap, standing_points
+from dgeval.planning.hand_overlap import depth_below, overlap, standing_points
 
 JOINT_LOW = np.tile([-0.261799, 0.0, 0.0], 5)  # rad, of the 15 joints (PAPERS 1.4)
 JOINT_HIGH = np.tile([0.261799, 1.48353, 1.13446], 5)

@@ -18,8 +18,8 @@ from dgeval.determinism import generator
 from dgeval.geometry import Array, rotation_angle
 from dgeval.networks.point_sets import crop
 from dgeval.networks.pointnet2 import CROP_HIGH, CROP_LOW, GraspEvaluator
+from dgeval.planning.vfas.one_euro import PoseFilter
 from dgeval.robots.parallel_jaw import link_points
-from dgeval.stages.one_euro import PoseFilter
 
 REACH = 0.20  # m about the seed, of the points that any candidate's crop may hold
 MOST_POINTS = 12_000

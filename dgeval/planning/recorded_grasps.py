@@ -9,8 +9,8 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.geometry import Array
-from dgeval.stages.schedule import Delayed
-from dgeval.stages.selection import grasp_metric
+from dgeval.planning.schedule import Delayed
+from dgeval.planning.selection import grasp_metric
 
 if TYPE_CHECKING:
     from dgeval.perception.types import Model

@@ -9,10 +9,10 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.geometry import Array, rotation_angle
 from dgeval.perception.pipeline import pose_columns
+from dgeval.planning.schedule import Delayed
+from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
+from dgeval.planning.vfas.selection import Selected
 from dgeval.recording.frame import Frame
-from dgeval.stages.schedule import Delayed
-from dgeval.stages.vfas import Selected
-from dgeval.stages.vfas_loop import VfasLoop, proportional_twist
 
 EARLY = 0.8  # of a period; a frame that comes this early still begins an iteration
 TWIST = ("twist_vx", "twist_vy", "twist_vz", "twist_wx", "twist_wy", "twist_wz")

@@ -16,10 +16,10 @@ from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.networks.contact_graspnet import CENTRES, ContactGraspNet, load_contact_graspnet
 from dgeval.networks.pointnet2 import GraspEvaluator, load_evaluator
 from dgeval.perception.self_filter import hand_pixels
+from dgeval.planning.vfas.motion_field import MotionField, dis_flow
+from dgeval.planning.vfas.selection import GraspJudge, Selected, Vfas, perturbed
 from dgeval.recording.frame import Frame
 from dgeval.robots.parallel_jaw import OPENING
-from dgeval.stages.motion_field import MotionField, dis_flow
-from dgeval.stages.vfas import GraspJudge, Selected, Vfas, perturbed
 
 FAR = 0.8  # m; what lies behind is no scene to grasp from
 MOST_PIXELS = 40_000

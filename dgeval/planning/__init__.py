@@ -1,0 +1,1 @@
+"""From grasps to commands: candidates, selection, servo, execution, schedule. No I/O, no global state."""

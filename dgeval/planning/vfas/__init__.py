@@ -1,0 +1,1 @@
+"""VFAS-Grasp: sampling, scoring, motion field and filter."""
