@@ -24,7 +24,7 @@ from dgeval.config import ServoConfig, VerdictConfig
 from dgeval.determinism import generator, limit_threads
 from dgeval.failure_rule import HANDED_OVER, Thresholds
 from dgeval.geometry import Array, increment, invert
-from dgeval.hindsight import blind_gap
+from dgeval.hindsight.second_pass import blind_gap
 from dgeval.robots.dlr_hit_hand import ACTUATED
 from dgeval.robots.hand import JAW
 from dgeval.simulation.blame import blame

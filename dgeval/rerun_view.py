@@ -18,7 +18,8 @@ import rerun.blueprint as rrb
 
 from dgeval.config import Config
 from dgeval.geometry import Array, transform
-from dgeval.hindsight import Hindsight, nearest_link
+from dgeval.hindsight.moments import nearest_link
+from dgeval.hindsight.second_pass import Hindsight
 from dgeval.perception.self_filter import Hand
 from dgeval.recording.trials import Trial
 from dgeval.replay import Step

@@ -22,7 +22,8 @@ from dgeval.config import Config
 from dgeval.determinism import fingerprint, limit_threads
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError, describe
 from dgeval.geometry import Array
-from dgeval.hindsight import Hindsight, Seen, Surface, look_back, seen_of
+from dgeval.hindsight.second_pass import Hindsight, look_back
+from dgeval.hindsight.surface import Seen, Surface, seen_of
 from dgeval.perception.pipeline import Perception, pose_columns
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial

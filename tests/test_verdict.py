@@ -15,7 +15,10 @@ import pytest
 from benchmarks.verdict import scene_from
 from dgeval.config import Config
 from dgeval.geometry import Array, increment, transform
-from dgeval.hindsight import Seen, Surface, _priors, look_back
+from dgeval.hindsight.second_pass import _priors, look_back
+from dgeval.hindsight.smoothing import Path as ObjectPath
+from dgeval.hindsight.smoothing import Sighting, smooth
+from dgeval.hindsight.surface import Seen, Surface
 from dgeval.perception.plane import Plane
 from dgeval.perception.types import Model
 from dgeval.recording.messages import StampedPose
@@ -23,8 +26,6 @@ from dgeval.report.summary import failure_shares, published, read_truth, success
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, load_scenario
-from dgeval.stages.smoothing import Path as ObjectPath
-from dgeval.stages.smoothing import Sighting, smooth
 from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.verdict import outcome
 from dgeval.verdict.beliefs import Beliefs, beliefs_of, gains_of, growth, laid_on, steady
@@ -317,8 +318,8 @@ def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPat
         # between 20 and 22 nothing can be seen, so that going forward loses it
         return Sighting(frame.t_ns, there, "registration", True) if known and not 20 <= frame.index <= 22 else None
 
-    monkeypatch.setattr("dgeval.hindsight._look", look)
-    monkeypatch.setattr("dgeval.hindsight._moments", lambda *_: ())
+    monkeypatch.setattr("dgeval.hindsight.second_pass._look", look)
+    monkeypatch.setattr("dgeval.hindsight.second_pass._moments", lambda *_: ())
     surface = Surface()
     surface.add(Model(np.random.default_rng(0).normal(0, 0.02, (50, 3)), np.tile([0.0, 0.0, 1.0], (50, 1))))
     found = look_back(trial, seen, surface, SimpleNamespace(tracker=None), Config())  # type: ignore[arg-type]

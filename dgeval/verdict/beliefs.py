@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dgeval.geometry import Array, invert, matrix_from_pose, transform
-from dgeval.hindsight import Hindsight
+from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.messages import StampedPose, cloud_points
 from dgeval.recording.trials import GRASP_TOPIC, Trial
 

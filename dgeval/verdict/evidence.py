@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.geometry import Array, invert, rotation_vector, transform
-from dgeval.hindsight import Hindsight
+from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
 from dgeval.robots.dlr_hit_hand import CLOSE_S

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dgeval.config import Config
-from dgeval.hindsight import Hindsight
+from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.trials import Trial
 from dgeval.verdict.blame import blame_of
 from dgeval.verdict.causes import Cause, cause_of

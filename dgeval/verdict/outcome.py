@@ -8,7 +8,8 @@ import numpy as np
 
 from dgeval.failure_rule import Outcome, OutcomeSource
 from dgeval.geometry import Array, transform
-from dgeval.hindsight import Hindsight, hand_distance
+from dgeval.hindsight.moments import hand_distance
+from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.trials import Trial
 from dgeval.robots.hand import FIVE_FINGERS, JAW
 

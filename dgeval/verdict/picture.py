@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.geometry import Array, Intrinsics, invert, transform
-from dgeval.hindsight import Hindsight
+from dgeval.hindsight.second_pass import Hindsight
 
 FREE, SEEN = (60, 60, 230), (40, 200, 255)  # BGR: on its free path, and as sighted
 

@@ -1,0 +1,1 @@
+"""The second pass over a log, with the future allowed: path, surface, moments."""

@@ -1,0 +1,118 @@
+"""Where the object was in every frame round the close, and how near the hand was to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dgeval.geometry import Array, invert, transform
+from dgeval.hindsight.smoothing import Path, Sighting
+from dgeval.hindsight.surface import Seen
+from dgeval.perception.self_filter import signed_distance
+from dgeval.perception.types import Model
+from dgeval.recording.trials import Trial
+
+KnownBy = Literal["path", "registration", "depth", "colour", "hand", "support"]
+
+WINDOW_BEFORE_S, WINDOW_AFTER_S = 4.0, 4.0  # around the close, where frames are looked at again
+
+RISEN_M, HELD_M = 0.05, 0.015  # the palm off its place at the close; the object off its place in the palm
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Where hindsight has the object in a frame: T_base_model, and how it knows; the nearest link of the hand.
+
+    by: `path` (undisturbed), a sighting's word, `hand` (moves with the hand), `support` (pushed, moves on with what it
+    stands on). sd m of the position, None but on the path. distance: signed, m, None without hand geometry.
+    """
+
+    index: int
+    t_ns: int
+    T_base_model: Array
+    by: KnownBy
+    sd: float | None
+    distance: float | None
+    link: str | None
+
+
+def hand_distance(trial: Trial, t_ns: int, points_base: Array) -> tuple[float, str] | None:
+    """Least signed distance m of the recorded hand to points (n, 3), base frame, and the link; None without hand geometry."""
+    near = nearest_link(trial, t_ns, points_base, None)
+    return None if near is None else (near[1], near[0])
+
+
+def nearest_link(trial: Trial, t_ns: int, points_base: Array, link: str | None) -> tuple[str, float, Array, Array] | None:
+    """Nearest link (or how near the named one is): name, signed distance m, its middle, nearest point (base frame)."""
+    shapes = trial.robot.hand_shapes(t_ns)
+    T_base_camera = trial.robot.T_base_camera(t_ns)
+    if shapes is None or T_base_camera is None:
+        return None
+    best: tuple[str, float, Array, Array] | None = None
+    in_camera = transform(invert(T_base_camera), points_base)
+    middle = in_camera.mean(axis=0)
+    for shape, T_camera_shape in shapes:
+        if link is not None and shape.link != link:
+            continue
+        if float(np.linalg.norm(middle - T_camera_shape[:3, 3])) > 0.4 + shape.bound:
+            continue
+        d = signed_distance(shape, transform(invert(T_camera_shape), in_camera))
+        k = int(np.argmin(d))
+        if best is None or d[k] < best[1]:
+            best = shape.link, float(d[k]), transform(T_base_camera, T_camera_shape[None, :3, 3])[0], points_base[k]
+    return best
+
+
+def moments_of(
+    trial: Trial, seen: list[Seen], path: Path, sightings: list[Sighting], model: Model, pushed_ns: int | None, end_ns: int
+) -> tuple[Moment, ...]:
+    """The object in every frame from some seconds before the close on, and the hand's nearest link.
+
+    Up to the push, or the close, it is on its path. Afterwards it is where it is seen; between sightings it moves with the
+    hand if it was seen to, else, up to the close, with what it stands on.
+    """
+    step = max(1, len(model.points) // 400)
+    left_ns = end_ns if pushed_ns is None else min(pushed_ns, end_ns)
+    in_hand = _in_hand(trial, sightings, end_ns)
+    at = {s.t_ns: s for s in sightings}
+    out = []
+    last: tuple[int, Array] | None = None
+    for s in seen:
+        if (end_ns - s.t_ns) * 1e-9 > WINDOW_BEFORE_S:
+            continue
+        by: KnownBy = "path"
+        T, sd = path.at(s.t_ns), None
+        palm = trial.robot.T_base_palm(s.t_ns)
+        if s.t_ns <= left_ns:
+            sd = path.sd_at(s.t_ns)
+        elif s.t_ns in at:
+            T, by = at[s.t_ns].T_base_model, at[s.t_ns].by
+            last = s.t_ns, T
+        elif in_hand is not None and palm is not None and s.t_ns > in_hand[0]:
+            T, by = palm @ in_hand[1], "hand"
+        elif last is not None and s.t_ns <= end_ns:
+            T, by = last[1].copy(), "support"
+            T[:3, 3] += path.velocity[-1] * (s.t_ns - last[0]) * 1e-9
+        else:
+            continue  # closing fingers may have taken it anywhere
+        near = hand_distance(trial, s.t_ns, transform(T, model.points[::step]))
+        out.append(Moment(s.index, s.t_ns, T, by, sd, *(near or (None, None))))
+    return tuple(out)
+
+
+def _in_hand(trial: Trial, sightings: list[Sighting], end_ns: int) -> tuple[int, Array] | None:
+    """From when on, and T_palm_model, if the object was seen to move with the palm while that rose; None else."""
+    then = trial.robot.T_base_palm(end_ns)
+    after = [(s, palm) for s in sightings if s.t_ns > end_ns and (palm := trial.robot.T_base_palm(s.t_ns)) is not None]
+    risen = [(s, palm) for s, palm in after if then is not None and np.linalg.norm(palm[:3, 3] - then[:3, 3]) > RISEN_M]
+    if len(risen) < 3:
+        return None
+    held = [invert(palm) @ s.T_base_model for s, palm in risen]
+    typical = held[int(np.argmin([np.median([np.linalg.norm(a[:3, 3] - b[:3, 3]) for b in held]) for a in held]))]
+    if float(np.median([np.linalg.norm(T[:3, 3] - typical[:3, 3]) for T in held])) > HELD_M:
+        return None
+    # back to the first sighting after the close from which on it lay so in the hand
+    with_it = [s.t_ns for s, palm in after if np.linalg.norm((invert(palm) @ s.T_base_model)[:3, 3] - typical[:3, 3]) < HELD_M]
+    return with_it[0], typical

@@ -1,0 +1,203 @@
+"""The second pass: the same log with the future allowed.
+
+The final model is looked for again in every frame in which the causal pass did not find it, from where the smoothed path
+says it must be: through the blind gap in colour, after the close, and after the lift. What the causal pass accepted and
+what this finds is smoothed in one piece up to the first contact; beyond it the object's free path is extrapolated, and
+sightings say what it really did. Nothing here reads the truth or the robot's beliefs.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, insort
+from collections import deque
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dgeval.config import Config
+from dgeval.geometry import Array, invert
+from dgeval.hindsight.free_path import free_path
+from dgeval.hindsight.moments import WINDOW_AFTER_S, WINDOW_BEFORE_S, Moment, moments_of
+from dgeval.hindsight.smoothing import Path, Sighting
+from dgeval.hindsight.surface import Seen, Surface
+from dgeval.perception.pipeline import Perception
+from dgeval.perception.plane import Plane
+from dgeval.perception.registration import register
+from dgeval.perception.trackers.model import ModelTracker
+from dgeval.perception.types import Model, Observation
+from dgeval.recording.frame import Frame
+from dgeval.recording.trials import GRASP_TOPIC, Trial
+
+GapSided = Literal["none", "one", "two"]
+CONTACT_M = 0.006  # m; a hand this near may be pushing: measured clouds are not more exact
+NO_GAP_S = 0.1
+MIN_COLOUR = 12  # features
+CARRIED_S, APART_M = 1.0, 0.01  # a sighting is a prior for so long, where it is so far from the others
+MOST_MISSED = 45  # frames kept to be gone through backwards
+BACKWARD_NS = 250_000_000  # from one frame to the one before it, in going backwards
+
+
+@dataclass(frozen=True)
+class Hindsight:
+    """What the whole log says about the object.
+
+    contact_ns: first time before the close at which the hand was within CONTACT_M of it on its free path, and the link.
+    pushed_ns: when it was seen to leave that path with the hand at it. n_registered: sightings by an accepted registration
+    up to the close. gap_s: from the last sighting to the close; None without a close. moments: frame by frame from
+    WINDOW_BEFORE_S before the close on; empty without an attempt.
+    """
+
+    path: Path
+    sightings: tuple[Sighting, ...]
+    points: Array
+    support: Plane | None
+    contact_ns: int | None
+    contact_link: str | None
+    pushed_ns: int | None
+    n_registered: int
+    gap_s: float | None
+    gap_sided: GapSided
+    moments: tuple[Moment, ...]
+    notes: tuple[str, ...]
+
+
+def look_back(trial: Trial, seen: list[Seen], surface: Surface, perception: Perception, config: Config) -> Hindsight | None:
+    """Second pass over one trial. None where the causal pass never had a model and a pose to start from."""
+    model = surface.model()
+    accepted = [s for s in seen if s.T_camera_model is not None]
+    if model is None or not accepted:
+        return None
+    centroid = model.points.mean(axis=0)
+    sightings = _causal(seen, config)
+    end_ns = trial.event_ns("close") or seen[-1].t_ns
+    path, _ = free_path(trial, sightings, model, centroid, end_ns)
+    support = _support(seen)
+
+    tracker = perception.tracker if isinstance(perception.tracker, ModelTracker) else ModelTracker(config)
+    known = {s.t_ns for s in sightings}
+    # without a grasp in the log nobody asks for what a second look would add
+    attempt = trial.event_ns("close") is not None or bool(trial.scan.poses.get(GRASP_TOPIC))
+    wanted = {
+        s.index: s
+        for s in seen
+        if attempt and s.t_ns not in known and -WINDOW_BEFORE_S <= (s.t_ns - end_ns) * 1e-9 <= WINDOW_AFTER_S
+    }
+    missed: deque[Frame] = deque(maxlen=MOST_MISSED)
+    for frame in trial.frames() if wanted else ():
+        if frame.index not in wanted:
+            continue
+        here: Frame | None = frame
+        while here is not None:
+            # found again, it is followed backwards through the frames before, until one where it is not
+            priors = _priors(here.t_ns, path, sightings, trial, end_ns)
+            sighting = _look(here, wanted[here.index], tracker, model, priors, config)
+            if sighting is None:
+                if here is frame:
+                    missed.append(frame)
+                break
+            insort(sightings, sighting, key=lambda s: s.t_ns)
+            here = missed.pop() if missed and here.t_ns - missed[-1].t_ns < BACKWARD_NS else None
+    path, pushed_ns = free_path(trial, sightings, model, centroid, end_ns)
+    moments = moments_of(trial, seen, path, sightings, model, pushed_ns, end_ns) if attempt else ()
+    contact = next((m for m in moments if m.t_ns <= end_ns and m.distance is not None and m.distance < CONTACT_M), None)
+    notes = [] if support is not None else ["hindsight: no support plane was seen"]
+    close_ns = trial.event_ns("close")
+    gap, sided = blind_gap([s.t_ns for s in sightings], close_ns)
+    registered = sum(s.by == "registration" and s.t_ns <= end_ns for s in sightings)
+    return Hindsight(
+        path,
+        tuple(sightings),
+        model.points,
+        support,
+        None if contact is None else contact.t_ns,
+        None if contact is None else contact.link,
+        pushed_ns,
+        registered,
+        gap,
+        sided,
+        moments,
+        tuple(notes),
+    )
+
+
+def _causal(seen: list[Seen], config: Config) -> list[Sighting]:
+    """What the first pass saw, the best word on each frame."""
+    out = []
+    for s in seen:
+        if s.T_camera_model is not None:
+            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_camera_model, "registration", False))
+        elif s.T_tracked is not None and s.n_depth >= config.observation.min_points:
+            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_tracked, "depth", False))
+        elif s.T_tracked is not None and s.n_features >= MIN_COLOUR:
+            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_tracked, "colour", False))
+    return out
+
+
+def _support(seen: list[Seen]) -> Plane | None:
+    """The surface the object stands on, base frame: the median of what the frames say."""
+    planes = [s.support for s in seen if s.support is not None]
+    if not planes:
+        return None
+    n = np.median([p.n for p in planes], axis=0)
+    n /= np.linalg.norm(n)
+    near = [p for p in planes if p.n @ n > 0.98]
+    if not near:
+        return None
+    return Plane(n, float(np.median([p.d for p in near])), float(len(near) / len(planes)))
+
+
+def _priors(t_ns: int, path: Path, sightings: list[Sighting], trial: Trial, end_ns: int) -> list[Array]:
+    """Where the model may be at a time, T_base_model: on its path; in the hand, after the close; where it was seen last
+    (forward) or will be seen next (backward), as after a push, moved with what it stands on."""
+    out = [path.at(t_ns)]
+    palm, palm_then = trial.robot.T_base_palm(t_ns), trial.robot.T_base_palm(end_ns)
+    if t_ns > end_ns and palm is not None and palm_then is not None:
+        out.append(palm @ invert(palm_then) @ path.at(end_ns))
+    at = bisect_left(sightings, t_ns, key=lambda s: s.t_ns)
+    centre = np.append(path.centroid, 1.0)
+    for s in (*sightings[max(at - 1, 0) : at], *sightings[at : at + 1]):
+        T = s.T_base_model.copy()
+        T[:3, 3] += path.velocity[-1] * (t_ns - s.t_ns) * 1e-9
+        if abs(t_ns - s.t_ns) * 1e-9 < CARRIED_S and all(np.linalg.norm((T - P) @ centre) > APART_M for P in out):
+            out.append(T)
+    return out
+
+
+def _look(
+    frame: Frame, seen: Seen, tracker: ModelTracker, model: Model, priors: list[Array], config: Config
+) -> Sighting | None:
+    """The model in one frame, from each place it may be at; depth needs the gate's fitness, colour enough features."""
+    T_camera_base = invert(seen.T_base_camera)
+    for prior in priors:
+        tracked = tracker.look(frame, model, T_camera_base @ prior)
+        if tracked.state != "tracked" or tracked.T_camera_model is None:
+            continue
+        T = tracked.T_camera_model
+        n_features = 0 if tracked.features is None else len(tracked.features.points)
+        if tracked.mask is not None and tracked.window is not None and tracked.mask_area >= config.observation.min_points:
+            v, u = np.nonzero(tracked.mask)
+            step = max(1, len(v) // config.observation.max_points)
+            u, v = u[::step] + tracked.window[0], v[::step] + tracked.window[1]
+            z = frame.depth[v, u].astype(np.float64)
+            points = frame.camera.backproject(u.astype(float), v.astype(float), z)[z > 0]
+            result = register(
+                Observation(points, np.zeros_like(points)), model, T, tracked.features, frame.camera, config.registration
+            )
+            if result.reject_reason is None and result.gate_fitness > config.registration.c_a_f:
+                return Sighting(frame.t_ns, seen.T_base_camera @ result.T_camera_model, "registration", True)
+        if n_features >= MIN_COLOUR:
+            return Sighting(frame.t_ns, seen.T_base_camera @ T, "colour", True)
+    return None
+
+
+def blind_gap(sighted_ns: list[int], close_ns: int | None) -> tuple[float | None, GapSided]:
+    """Seconds from the last sighting to the close, and whether sightings follow; none of up to NO_GAP_S."""
+    if close_ns is None:
+        return None, "none"
+    before = [t for t in sighted_ns if t <= close_ns]
+    after = [t for t in sighted_ns if t > close_ns]
+    gap = (close_ns - before[-1]) * 1e-9 if before else float("inf")
+    if gap <= NO_GAP_S:
+        return gap, "none"
+    return gap, "two" if after else "one"

@@ -1,0 +1,77 @@
+"""What the causal pass hands on: its sightings, and the surface that was ever seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgeval.geometry import Array
+from dgeval.perception.plane import Plane
+from dgeval.perception.types import Model
+from dgeval.replay import Step
+
+CELL = 0.003  # m; of the surface that is kept
+
+
+class Surface:
+    """All that was ever fused, thinned by cells instead of at random, so that what was seen early is not forgotten.
+
+    The paper's model keeps a random subset: after some tens of near frames it holds little but the last view.
+    """
+
+    def __init__(self) -> None:
+        self._cells = np.zeros(0, dtype=np.int64)
+        self._sums = np.zeros((0, 7))  # position, normal, count
+
+    def add(self, model: Model) -> None:
+        """Merge a model cloud; call with accepted frames only."""
+        at = np.floor(model.points / CELL).astype(np.int64) + 2**20
+        cells, inverse = np.unique((at[:, 0] << 42) | (at[:, 1] << 21) | at[:, 2], return_inverse=True)
+        sums = np.zeros((len(cells), 7))
+        np.add.at(sums, inverse, np.column_stack([model.points, model.normals, np.ones(len(at))]))
+        both = np.union1d(self._cells, cells)
+        merged = np.zeros((len(both), 7))
+        merged[np.searchsorted(both, self._cells)] = self._sums
+        merged[np.searchsorted(both, cells)] += sums
+        self._cells, self._sums = both, merged
+
+    def model(self) -> Model | None:
+        """Points and unit normals of the cells; None where nothing was added."""
+        if not len(self._cells):
+            return None
+        points = self._sums[:, :3] / self._sums[:, 6:]
+        normals = self._sums[:, 3:6]
+        return Model(points, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One frame of the causal pass.
+
+    T_camera_model: the accepted one, or None; T_tracked: the tracker's own word where it had the target, by depth or by
+    `n_features` in colour. support: what the object stands on, base frame.
+    """
+
+    index: int
+    t_ns: int
+    T_base_camera: Array
+    T_camera_model: Array | None
+    T_tracked: Array | None
+    n_features: int
+    n_depth: int
+    support: Plane | None
+
+
+def seen_of(step: Step) -> Seen | None:
+    """What the second pass needs of a frame of the first; None where the camera's pose is not known."""
+    if step.T_base_camera is None:
+        return None
+    plane = step.tracked.plane
+    support = None if plane is None else plane.moved(step.T_base_camera)
+    accepted = step.T_camera_model if step.accepted else None
+    tracked = step.tracked
+    n_features = 0 if tracked.features is None else len(tracked.features.points)
+    T_tracked = tracked.T_camera_model if tracked.state == "tracked" else None
+    frame = step.frame
+    return Seen(frame.index, frame.t_ns, step.T_base_camera, accepted, T_tracked, n_features, tracked.mask_area, support)
