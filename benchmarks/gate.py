@@ -16,7 +16,7 @@ import pandas as pd
 from dgeval.compare.paired import ALPHA, METRICS, answers, trial_metrics
 from dgeval.determinism import generator
 from dgeval.geometry import Array
-from dgeval.results import read_run
+from dgeval.runs.results import read_run
 from dgeval.statistics import wilson
 from matplotlib.figure import Figure
 

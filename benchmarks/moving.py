@@ -21,7 +21,8 @@ from dgeval.config import Config, load_config
 from dgeval.geometry import Array, invert
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
-from dgeval.run import file_name, replay_trial
+from dgeval.runs.files import file_name
+from dgeval.runs.trial_job import replay_trial
 
 from benchmarks import moving_measures as measure
 from benchmarks import result, synthetic

@@ -25,7 +25,7 @@ from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.write import STORE, McapWriter
 from dgeval.report.summary import read_truth
 from dgeval.robots.urdf import CAMERA_FRAME
-from dgeval.run import replay_trial
+from dgeval.runs.trial_job import replay_trial
 from dgeval.simulation.record import COLOUR_TOPIC, DEPTH_TOPIC
 from dgeval.simulation.sensors import D435
 from mcap.reader import make_reader

@@ -19,7 +19,7 @@ from dgeval.perception.pipeline import POSE as POSE_NAMES
 from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.messages import poses_of
 from dgeval.recording.trials import open_trial
-from dgeval.run import file_name
+from dgeval.runs.files import file_name
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 

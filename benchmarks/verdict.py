@@ -38,7 +38,7 @@ from dgeval.simulation.world import World, matrix_of, twin_path
 from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.verdict.beliefs import BEFORE_PUSH_NS, DRIFT_NS, Beliefs, carried, gains_of, growth, steady
 from dgeval.verdict.blame import blame_of
-from dgeval.verdict.causes import CLASSES, Cause, cause_of
+from dgeval.verdict.decide import CLASSES, Cause, cause_of
 from dgeval.verdict.evidence import APPROACH_S, CLOSING, PERIOD_NS, HandMotion, Scene, of_hand
 from dgeval.verdict.outcome import LAST_S, between_jaws, grip
 from dgeval.worlds.closing import CONTROL_S

@@ -18,8 +18,8 @@ from dgeval.compare.comparison import Comparison, compare_runs
 from dgeval.compare.paired import METRICS
 from dgeval.errors import OtherRecordingsError, Place, UsageError
 from dgeval.recording.manifest import TrialSpec
-from dgeval.results import Run, read_run
-from dgeval.run import file_name
+from dgeval.runs.files import file_name
+from dgeval.runs.results import Run, read_run
 from dgeval.schema import SCHEMA_VERSION
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every member: the same tables give the same file

@@ -22,7 +22,7 @@ from dgeval.hindsight.moments import nearest_link
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.perception.self_filter import Hand
 from dgeval.recording.trials import Trial
-from dgeval.replay import Step
+from dgeval.replay.causal import Step
 from dgeval.robots.description import LinkShape
 from dgeval.verdict.judge import Judgement
 

@@ -10,8 +10,8 @@ from collections import defaultdict
 from pathlib import Path
 
 import dgeval.recording.inspection
-import dgeval.run
-import dgeval.workers  # noqa: F401  # imported here once, not in every forked child
+import dgeval.runs.trial_job
+import dgeval.runs.workers  # noqa: F401  # imported here once, not in every forked child
 import pytest
 
 import damage as d

@@ -15,7 +15,8 @@ from dgeval.cli.boundary import command
 from dgeval.config import load_config
 from dgeval.errors import EXIT_CODES, Place, UsageError
 from dgeval.recording.manifest import TrialSpec
-from dgeval.run import finish_run, replay_trial
+from dgeval.runs.folder import finish_run
+from dgeval.runs.trial_job import replay_trial
 from typer.testing import CliRunner
 
 Dgeval = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -114,7 +115,7 @@ def _single(function: Callable[[], None]) -> Any:
 
 
 def test_a_crashed_trial_has_its_traceback_in_the_log(monkeypatch: pytest.MonkeyPatch, demo: Path, tmp_path: Path) -> None:
-    monkeypatch.setattr("dgeval.run.open_trial", broken)
+    monkeypatch.setattr("dgeval.runs.trial_job.open_trial", broken)
     config = load_config("dynamic", ())
     result = replay_trial(TrialSpec("a", demo), config, tmp_path, None, True)
     assert finish_run(tmp_path, [result], config) == 4

@@ -23,8 +23,9 @@ from dgeval.compare.paired import METRICS, answers, holm, mcnemar, signed_rank, 
 from dgeval.config import load_config
 from dgeval.errors import UsageError
 from dgeval.recording.manifest import find_trials
-from dgeval.results import Run, read_run
-from dgeval.run import finish_run, replay_trial
+from dgeval.runs.folder import finish_run
+from dgeval.runs.results import Run, read_run
+from dgeval.runs.trial_job import replay_trial
 from dgeval.schema import STAGES
 from junitparser import JUnitXml, Skipped
 from scipy.stats import wilcoxon

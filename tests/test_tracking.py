@@ -13,7 +13,7 @@ from dgeval.geometry import Intrinsics, invert, rotation_angle
 from dgeval.perception.segmentation import points_of
 from dgeval.perception.trackers.model import ModelTracker, TrackingInput
 from dgeval.recording.frame import Frame
-from dgeval.replay import Step, replay
+from dgeval.replay.causal import Step, replay
 from dgeval.robots.description import LinkShape
 from scipy.spatial.transform import Rotation
 

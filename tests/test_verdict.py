@@ -30,7 +30,7 @@ from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.verdict import outcome
 from dgeval.verdict.beliefs import Beliefs, beliefs_of, gains_of, growth, laid_on, steady
 from dgeval.verdict.blame import blame_of
-from dgeval.verdict.causes import CLASSES, Cause, cause_of
+from dgeval.verdict.decide import CLASSES, Cause, cause_of
 from dgeval.verdict.evidence import of_hand
 from dgeval.verdict.twin import Twin
 from dgeval.worlds.objects import ObjectModel, surface_points, ten_objects

@@ -33,8 +33,8 @@ def compare(
     from dgeval.compare.closed_loop import compare_campaigns
     from dgeval.compare.comparison import compare_runs
     from dgeval.compare.output import as_html, as_json, as_markdown
-    from dgeval.results import read_run
-    from dgeval.run import write_atomically
+    from dgeval.runs.files import write_atomically
+    from dgeval.runs.results import read_run
 
     if (old / "simulated.json").is_file() and (new / "simulated.json").is_file():
         result = compare_campaigns(old, new)

@@ -46,9 +46,10 @@ def regress(
     from dgeval.recording.containers.container import sha256_of
     from dgeval.recording.manifest import find_trials
     from dgeval.regress import UNDECIDED, check_dataset, check_recordings, gate, junit, read_baseline, write_baseline
-    from dgeval.results import read_run
-    from dgeval.run import file_name, finish_run, write_atomically
-    from dgeval.workers import replay_trials
+    from dgeval.runs.files import file_name, write_atomically
+    from dgeval.runs.folder import finish_run
+    from dgeval.runs.results import read_run
+    from dgeval.runs.workers import replay_trials
 
     if fail_on not in (None, "inconclusive"):
         raise UsageError(f"--fail-on {fail_on!r}", hint="inconclusive is the only choice")

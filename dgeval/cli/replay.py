@@ -38,8 +38,8 @@ def replay(
     from dgeval.config import load_config
     from dgeval.errors import UsageError
     from dgeval.recording.manifest import find_trials
-    from dgeval.run import TrialResult, finish_run
-    from dgeval.workers import replay_trials
+    from dgeval.runs.folder import TrialResult, finish_run
+    from dgeval.runs.workers import replay_trials
 
     config = load_config(pipeline, tuple(set_ or ()))
     specs = find_trials(paths, config.roles.events)
@@ -84,8 +84,8 @@ def _check(specs: Any, config: Any, jobs: int, results: Any) -> None:
     import tempfile
 
     from dgeval.errors import NotDeterministicError
+    from dgeval.runs.workers import replay_trials
     from dgeval.schema import STAGES
-    from dgeval.workers import replay_trials
 
     with tempfile.TemporaryDirectory() as folder:
         again = replay_trials(specs, config, Path(folder), None, True, jobs, on_result=lambda _: None)

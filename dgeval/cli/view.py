@@ -27,7 +27,7 @@ def view(
     import sys
 
     from dgeval.errors import Place, UsageError
-    from dgeval.run import file_name
+    from dgeval.runs.files import file_name
 
     name = file_name(trial)
     file = run / "review" / f"{name}.rrd"

@@ -12,7 +12,7 @@ from dgeval.compare.divergence import TrialDifference, difference
 from dgeval.compare.paired import ALPHA, METRICS, Result, answers, timing, trial_metrics
 from dgeval.errors import UsageError
 from dgeval.geometry import Array
-from dgeval.results import Run
+from dgeval.runs.results import Run
 from dgeval.schema import SCHEMA_VERSION, STAGES
 
 # What the log says about the world. New code should not change it; where it does, one of the two is wrong.

@@ -9,7 +9,7 @@ import numpy as np
 from dgeval.geometry import Array
 from dgeval.perception.plane import Plane
 from dgeval.perception.types import Model
-from dgeval.replay import Step
+from dgeval.replay.causal import Step
 
 CELL = 0.003  # m; of the surface that is kept
 

@@ -14,8 +14,8 @@ from dgeval.pages import as_data_uri, template_environment
 from dgeval.report.figures import shares_figure, trial_figure
 from dgeval.report.summary import against_truth, failure_shares, read_truth, share, success_by, what_first
 from dgeval.report.tables import stage_times, trial_summary
-from dgeval.results import Run, read_run
-from dgeval.run import file_name, write_atomically
+from dgeval.runs.files import file_name, write_atomically
+from dgeval.runs.results import Run, read_run
 
 CHANCES = ("p_imprecise_pose", "p_collision", "p_timing")
 

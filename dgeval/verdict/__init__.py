@@ -1,1 +1,1 @@
-"""What became of a trial and why. So far only what the log says outright."""
+"""What became of a trial and why: outcome, evidence, the twin, the decision, blame."""

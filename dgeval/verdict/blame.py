@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgeval.verdict.beliefs import Beliefs
-from dgeval.verdict.causes import Cause
+from dgeval.verdict.decide import Cause
 from dgeval.verdict.twin import Sample
 
 ENOUGH = 0.5  # weighted share of the draws in which it must restore success

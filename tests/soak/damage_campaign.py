@@ -23,8 +23,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import dgeval.recording.inspection
-import dgeval.run
-import dgeval.workers  # noqa: F401
+import dgeval.runs.trial_job
+import dgeval.runs.workers  # noqa: F401
 from dgeval.cli import app  # noqa: F401
 
 import damage as d

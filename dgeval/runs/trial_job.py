@@ -8,63 +8,46 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from dgeval import __version__
 from dgeval.config import Config
-from dgeval.determinism import fingerprint, limit_threads
-from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, DgevalError, describe
+from dgeval.determinism import limit_threads
+from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, DgevalError, describe
 from dgeval.geometry import Array
 from dgeval.hindsight.second_pass import Hindsight, look_back
 from dgeval.hindsight.surface import Seen, Surface, seen_of
 from dgeval.perception.pipeline import Perception, pose_columns
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
-from dgeval.replay import Step, grasp_source, recorded_seed, replay
+from dgeval.replay.causal import Step, grasp_source, recorded_seed, replay
+from dgeval.replay.notes import vfas_notes
+from dgeval.runs.files import TableFile, file_name, write_atomically, write_ply, write_table
+from dgeval.runs.folder import TrialResult
 from dgeval.schema import (
     FRAMES,
     FRAMES_ADDED,
     HINDSIGHT,
     SCHEMA_VERSION,
     TIMINGS,
-    TRIALS,
     StageDigests,
-    arrow_schema,
     arrow_table,
 )
 from dgeval.verdict.judge import Judgement, judge
 from dgeval.verdict.picture import decisive_picture
 
-ROWS_PER_GROUP = 500
 MAX_RECENT = 400  # images kept to draw the decisive moment on, as they were compressed
 # Makes the object that writes a trial's review recording: add(step) per frame, close(path) at the end.
 ReviewFactory = Callable[[Path, Trial, Config], Any]
 
 
-@dataclass(frozen=True)
-class TrialResult:
-    """What a worker hands back for one trial: its table row (None if it failed), exit code, messages, input hash."""
-
-    id: str
-    row: dict[str, Any] | None
-    exit_code: int
-    messages: list[str]
-    sha256: str | None
-    resumed: bool = False
-    review: dict[str, int] | None = None
-    traceback: str | None = None
 
 
-def file_name(trial: str) -> str:
-    """A trial's id as a file name: path separators and characters that some file systems refuse replaced."""
-    return "".join(c if c.isalnum() or c in "-_.#+" else "~" for c in trial)
 
 
 def resume_key(spec: TrialSpec, config: Config, sha256: str) -> str:
@@ -131,8 +114,8 @@ def _replay_trial(
     frames_path = out / "frames" / f"{name}.parquet"
     timings_path = out / "trials" / f"{name}.timings.parquet"
     with (
-        _Table(frames_path, (*FRAMES, *FRAMES_ADDED)) as frames_table,
-        _Table(timings_path, TIMINGS) as timings_table,
+        TableFile(frames_path, (*FRAMES, *FRAMES_ADDED)) as frames_table,
+        TableFile(timings_path, TIMINGS) as timings_table,
     ):
         for step in replay(trial, config, perception):
             digests.add(step.row)
@@ -167,9 +150,9 @@ def _replay_trial(
     if hindsight is not None:
         _write_picture(out / "pictures" / f"{name}.jpg", recent, judgement, hindsight, trial)
         (out / "hindsight").mkdir(exist_ok=True)
-        _write_table(out / "hindsight" / f"{name}.parquet", arrow_table(HINDSIGHT, _hindsight_rows(hindsight)))
+        write_table(out / "hindsight" / f"{name}.parquet", arrow_table(HINDSIGHT, _hindsight_rows(hindsight)))
     if model is not None:
-        _write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
+        write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
     row, exit_code, messages = _trial_row(trial, config, counts, t_execute_ns, last_ns, judgement)
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
@@ -240,22 +223,6 @@ def _trial_row(
     return row, exit_code, messages
 
 
-def vfas_notes(config: Config, seeded: bool) -> list[str]:
-    """What ran in place of VFAS-Grasp's own parts."""
-    weights = config.vfas.evaluator
-    quality = "dgeval's own weights" if weights is None else f"weights {Path(weights).name}"
-    notes = [f"VFAS-Grasp's evaluator with {quality}; sliding fingers stand for its gripper's links"]
-    if config.vfas.motion_field:
-        notes.append("stand-in: DIS in place of GMFlow")
-    if config.vfas.noise_candidates == "top8":
-        notes.append("noisy copies of the eight leading candidates, in place of all")
-    if not seeded and not config.vfas.search:
-        seeds = config.vfas.contact_graspnet
-        notes.append(
-            "stand-in: a sampler scored by the evaluator in place of Contact-GraspNet's seed" if seeds is None
-            else f"seed by Contact-GraspNet, weights {Path(seeds).name}"
-        )  # fmt: skip
-    return notes
 
 
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:
@@ -295,40 +262,8 @@ def _write_picture(
     part.replace(path)
 
 
-def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
-    """Put the tables together from the trials' own files and write run.json. Returns the run's exit code."""
-    out.mkdir(parents=True, exist_ok=True)
-    done = sorted((r for r in results if r.row is not None), key=lambda r: r.id)
-    rows = [r.row for r in done if r.row is not None]
-    _write_table(out / "trials.parquet", arrow_table(TRIALS, rows))
-    timings = [pq.read_table(out / "trials" / f"{file_name(r.id)}.timings.parquet") for r in done]
-    _write_table(out / "timings.parquet", pa.concat_tables(timings) if timings else arrow_table(TIMINGS, []))
-    lines = []
-    for r in sorted(results, key=lambda r: r.id):
-        lines += [json.dumps({"trial": r.id, "exit_code": r.exit_code, "message": m}) for m in r.messages]
-        if r.traceback is not None:
-            lines.append(json.dumps({"trial": r.id, "exit_code": r.exit_code, "traceback": r.traceback}))
-    write_atomically(out / "log.jsonl", "".join(line + "\n" for line in lines))
-    about = {
-        "schema_version": SCHEMA_VERSION,
-        "dgeval": __version__,
-        "config": config.model_dump(mode="json"),
-        "fingerprint": fingerprint(),
-        "inputs": {r.id: r.sha256 for r in done},
-        "failed": {r.id: r.messages for r in results if r.row is None},
-    }
-    write_atomically(out / "run.json", json.dumps(about, indent=1, sort_keys=True))
-    return exit_code_of(results)
 
 
-def exit_code_of(results: list[TrialResult]) -> int:
-    """0 if all is well; 4 for an internal error; 2 if nothing could be read; 3 if something was lost, the rest done."""
-    codes = {r.exit_code for r in results}
-    if EXIT_INTERNAL in codes:
-        return EXIT_INTERNAL
-    if results and all(r.row is None for r in results):
-        return EXIT_USAGE if EXIT_USAGE in codes else max(codes)
-    return EXIT_DATA_LOST if codes - {EXIT_OK} else EXIT_OK
 
 
 def _committed(mark: Path, key: str, out: Path, name: str, review: bool) -> dict[str, Any] | None:
@@ -343,55 +278,9 @@ def _committed(mark: Path, key: str, out: Path, name: str, review: bool) -> dict
     return kept if kept.get("key") == key and all(p.is_file() for p in wanted) else None
 
 
-class _Table:
-    """A Parquet file written in row groups, so that a long trial never lies in memory; renamed when complete."""
-
-    def __init__(self, path: Path, columns: tuple[Any, ...]) -> None:
-        self._path, self._columns = path, columns
-        self._part = path.with_name(path.name + ".part")
-        self._rows: list[dict[str, Any]] = []
-
-    def __enter__(self) -> _Table:
-        self._writer = pq.ParquetWriter(self._part, arrow_schema(self._columns), compression="zstd")
-        return self
-
-    def add(self, row: dict[str, Any]) -> None:
-        self._rows.append(row)
-        if len(self._rows) >= ROWS_PER_GROUP:
-            self._flush()
-
-    def _flush(self) -> None:
-        if self._rows:
-            self._writer.write_table(arrow_table(self._columns, self._rows))
-            self._rows = []
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self._flush()
-        self._writer.close()
-        if kind is None:
-            self._part.replace(self._path)
-        else:
-            self._part.unlink(missing_ok=True)
 
 
-def _write_table(path: Path, table: Any) -> None:
-    part = path.with_name(path.name + ".part")
-    pq.write_table(table, part, compression="zstd")
-    part.replace(path)
 
 
-def write_atomically(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
 
 
-def _write_ply(path: Path, points: Any, normals: Any) -> None:
-    """Binary little-endian PLY, float32 points and normals, model frame, m."""
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
-    head += "".join(f"property float {n}\n" for n in ("x", "y", "z", "nx", "ny", "nz")) + "end_header\n"
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(head.encode() + np.hstack([points, normals]).astype("<f4").tobytes())
-    part.replace(path)

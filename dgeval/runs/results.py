@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from dgeval.errors import Place, UsageError
-from dgeval.run import file_name
+from dgeval.runs.files import file_name
 
 
 @dataclass(frozen=True)

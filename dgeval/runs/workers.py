@@ -12,7 +12,8 @@ from dgeval.config import Config
 from dgeval.determinism import set_thread_variables
 from dgeval.errors import EXIT_INTERNAL
 from dgeval.recording.manifest import TrialSpec
-from dgeval.run import ReviewFactory, TrialResult, replay_trial
+from dgeval.runs.folder import TrialResult
+from dgeval.runs.trial_job import ReviewFactory, replay_trial
 
 
 def replay_trials(

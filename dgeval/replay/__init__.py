@@ -1,0 +1,1 @@
+"""The causal pass over a log: what such a system would have believed and commanded."""

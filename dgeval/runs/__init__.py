@@ -1,0 +1,1 @@
+"""Run folders: one trial's job, its files, many trials over processes, reading them back."""

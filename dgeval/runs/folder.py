@@ -1,0 +1,71 @@
+"""A run's tables put together from its trials, run.json, and the exit code."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from dgeval import __version__
+from dgeval.config import Config
+from dgeval.determinism import fingerprint
+from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE
+from dgeval.runs.files import file_name, write_atomically, write_table
+from dgeval.schema import (
+    SCHEMA_VERSION,
+    TIMINGS,
+    TRIALS,
+    arrow_table,
+)
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """What a worker hands back for one trial: its table row (None if it failed), exit code, messages, input hash."""
+
+    id: str
+    row: dict[str, Any] | None
+    exit_code: int
+    messages: list[str]
+    sha256: str | None
+    resumed: bool = False
+    review: dict[str, int] | None = None
+    traceback: str | None = None
+
+def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
+    """Put the tables together from the trials' own files and write run.json. Returns the run's exit code."""
+    out.mkdir(parents=True, exist_ok=True)
+    done = sorted((r for r in results if r.row is not None), key=lambda r: r.id)
+    rows = [r.row for r in done if r.row is not None]
+    write_table(out / "trials.parquet", arrow_table(TRIALS, rows))
+    timings = [pq.read_table(out / "trials" / f"{file_name(r.id)}.timings.parquet") for r in done]
+    write_table(out / "timings.parquet", pa.concat_tables(timings) if timings else arrow_table(TIMINGS, []))
+    lines = []
+    for r in sorted(results, key=lambda r: r.id):
+        lines += [json.dumps({"trial": r.id, "exit_code": r.exit_code, "message": m}) for m in r.messages]
+        if r.traceback is not None:
+            lines.append(json.dumps({"trial": r.id, "exit_code": r.exit_code, "traceback": r.traceback}))
+    write_atomically(out / "log.jsonl", "".join(line + "\n" for line in lines))
+    about = {
+        "schema_version": SCHEMA_VERSION,
+        "dgeval": __version__,
+        "config": config.model_dump(mode="json"),
+        "fingerprint": fingerprint(),
+        "inputs": {r.id: r.sha256 for r in done},
+        "failed": {r.id: r.messages for r in results if r.row is None},
+    }
+    write_atomically(out / "run.json", json.dumps(about, indent=1, sort_keys=True))
+    return exit_code_of(results)
+
+def exit_code_of(results: list[TrialResult]) -> int:
+    """0 if all is well; 4 for an internal error; 2 if nothing could be read; 3 if something was lost, the rest done."""
+    codes = {r.exit_code for r in results}
+    if EXIT_INTERNAL in codes:
+        return EXIT_INTERNAL
+    if results and all(r.row is None for r in results):
+        return EXIT_USAGE if EXIT_USAGE in codes else max(codes)
+    return EXIT_DATA_LOST if codes - {EXIT_OK} else EXIT_OK
