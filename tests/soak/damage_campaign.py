@@ -20,14 +20,13 @@ from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recording"))
 
+import damage as d
 import dgeval.recording.inspection
 import dgeval.runs.trial_job
 import dgeval.runs.workers  # noqa: F401
 from dgeval.cli import app  # noqa: F401
-
-import damage as d
 
 PEAK_MB = 1024  # more resident memory than this, over what the campaign itself holds, is a violation
 

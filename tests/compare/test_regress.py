@@ -30,7 +30,7 @@ from dgeval.schema import STAGES
 from junitparser import JUnitXml, Skipped
 from scipy.stats import wilcoxon
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SMOKE = ROOT / "datasets" / "ci-smoke"
 NAME = "pudding_box-120-0030"
 Dgeval = Callable[..., subprocess.CompletedProcess[str]]

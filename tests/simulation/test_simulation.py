@@ -32,7 +32,7 @@ from dgeval.simulation.truth import Prover, Truth, prove
 from dgeval.simulation.world import World
 from dgeval.worlds.objects import ten_objects
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SMOKE = ROOT / "datasets" / "ci-smoke"
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

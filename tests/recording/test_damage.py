@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections import defaultdict
 from pathlib import Path
 
+import damage as d
 import dgeval.recording.inspection
 import dgeval.runs.trial_job
 import dgeval.runs.workers  # noqa: F401  # imported here once, not in every forked child
 import pytest
-
-import damage as d
 
 KINDS = {
     k.name: k

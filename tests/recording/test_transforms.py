@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "datasets"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "datasets"))
 from make_demo import CAMERA_FRAME, T_HAND_CAMERA, hand_pose, joints, urdf
 
 

@@ -187,7 +187,7 @@ def test_training_and_use_agree() -> None:
 
 
 def test_shipped_weights_are_small_and_say_their_sizes() -> None:
-    path = Path(__file__).parents[1] / "dgeval" / "networks" / "weights" / "vfas_evaluator.safetensors"
+    path = Path(__file__).parents[2] / "dgeval" / "networks" / "weights" / "vfas_evaluator.safetensors"
     assert path.stat().st_size < 4e6
     assert load_evaluator(path).sizes == VFAS
     assert len(read_weights(path)) == 72

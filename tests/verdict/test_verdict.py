@@ -39,7 +39,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SMOKE = ROOT / "datasets" / "ci-smoke"
 Run = Callable[..., object]
 
