@@ -43,17 +43,24 @@ def outcome(name: str, seed: int, index: int, faultless: bool) -> dict[str, Any]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scenario")
     parser.add_argument("--trials", type=int)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--faultless", action="store_true", help="no injected faults, as in the paper")
+    parser.add_argument(
+        "--faultless", action="store_true", help="no injected faults, as in the paper"
+    )
     options = parser.parse_args()
     scenario = load_scenario(options.scenario)
     trials = options.trials or scenario.trials
     with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        waiting = [pool.submit(outcome, options.scenario, options.seed, k, options.faultless) for k in range(trials)]
+        waiting = [
+            pool.submit(outcome, options.scenario, options.seed, k, options.faultless)
+            for k in range(trials)
+        ]
         results = [w.result() for w in waiting]
     paper = PUBLISHED.get(scenario.plans_of or scenario.name, {})
     clean = [r for r in results if not r["verdict"]["faults_present"]]
@@ -69,7 +76,10 @@ def main() -> None:
         table(["ended", "trials"], rows),
     ]
     if len(clean) < len(results):
-        parts += [f"The {len(clean)} trials without an injected fault:", rates(clean, paper, "object")]
+        parts += [
+            f"The {len(clean)} trials without an injected fault:",
+            rates(clean, paper, "object"),
+        ]
     command = f"python -m benchmarks.closed_loop {options.scenario} --trials {trials} --seed {options.seed}"
     name = f"closed-loop-{options.scenario}"
     if options.faultless:

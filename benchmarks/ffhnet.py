@@ -30,8 +30,17 @@ from scipy.spatial import cKDTree
 
 from benchmarks.result import RESULTS, table, write
 
-WAYS = ("single view, best", "single view, best free", "fused, best", "fused, best free", "random free pose", "known grasps")
-UNSEEN = range(200, 209)  # procedural objects, one of each kind, that no training run with its defaults has seen
+WAYS = (
+    "single view, best",
+    "single view, best free",
+    "fused, best",
+    "fused, best free",
+    "random free pose",
+    "known grasps",
+)
+UNSEEN = range(
+    200, 209
+)  # procedural objects, one of each kind, that no training run with its defaults has seen
 
 
 def milliseconds(function: Callable[[], Any], repeats: int = 9) -> float:
@@ -71,15 +80,21 @@ def neighbours() -> list[list[str]]:
 
         ways: dict[str, Callable[[], Any]] = {
             "scipy, balanced tree": lambda p=points: cKDTree(cloud).query(p),  # type: ignore[misc]
-            "scipy, plain tree": lambda p=points: cKDTree(cloud, 16, False, balanced_tree=False).query(p),  # type: ignore[misc]
+            "scipy, plain tree": lambda p=points: cKDTree(
+                cloud, 16, False, balanced_tree=False
+            ).query(p),  # type: ignore[misc]
             "small_gicp, as used": lambda n=n: encode(cloud, basis(n)),  # type: ignore[misc]
-            "torch.cdist": lambda p=points: torch.cdist(torch.from_numpy(p).float(), torch.from_numpy(cloud).float()).min(1),  # type: ignore[misc]
+            "torch.cdist": lambda p=points: torch.cdist(
+                torch.from_numpy(p).float(), torch.from_numpy(cloud).float()
+            ).min(1),  # type: ignore[misc]
         }
         rows += [[str(n), name, f"{milliseconds(way):.1f}"] for name, way in ways.items()]
     return rows
 
 
-def in_physics(things: list[ObjectModel], views: int, networks: Networks) -> dict[str, list[tuple[str, bool]]]:
+def in_physics(
+    things: list[ObjectModel], views: int, networks: Networks
+) -> dict[str, list[tuple[str, bool]]]:
     """Whether the best grasp of each view held, by way of choosing it: (object, held)."""
     out: dict[str, list[tuple[str, bool]]] = {k: [] for k in WAYS}
     for thing in things:
@@ -88,11 +103,16 @@ def in_physics(things: list[ObjectModel], views: int, networks: Networks) -> dic
         known = known_grasps(thing) if thing.name in ten_objects() else []
         for k in range(views):
             for name, fused in (("single view", False), ("fused", True)):
-                cloud, T_cloud_object = cloud_of(surface, fused, generator(1, f"bench/{thing.name}/{name}", k))
+                cloud, T_cloud_object = cloud_of(
+                    surface, fused, generator(1, f"bench/{thing.name}/{name}", k)
+                )
                 encoded = encode_cloud(cloud, networks)
                 drawn = propose(encoded, networks, 256, 1, k)
                 free = free_on_table(thing, T_cloud_object, encoded, drawn)
-                for way, scores in (("best", drawn.scores), ("best free", np.where(free, drawn.scores, -1.0))):
+                for way, scores in (
+                    ("best", drawn.scores),
+                    ("best free", np.where(free, drawn.scores, -1.0)),
+                ):
                     row = int(np.argmax(scores))
                     T = invert(T_cloud_object) @ drawn.T_cloud_palm[row]
                     out[f"{name}, {way}"].append((thing.name, holds(world, T, drawn.joints[row])))
@@ -104,13 +124,17 @@ def in_physics(things: list[ObjectModel], views: int, networks: Networks) -> dic
                     break
             if known:
                 grasp = max(known, key=lambda g: g.quality) if k == 0 else known[k % len(known)]
-                out["known grasps"].append((thing.name, holds(world, grasp.T_object_palm, grasp.preshape)))
+                out["known grasps"].append(
+                    (thing.name, holds(world, grasp.T_object_palm, grasp.preshape))
+                )
     return out
 
 
 def rate(held: list[bool]) -> str:
     low, high = wilson(sum(held), len(held))
-    return f"{sum(held)}/{len(held)} = {100 * np.mean(held):.0f} % [{100 * low:.0f}–{100 * high:.0f}]"
+    return (
+        f"{sum(held)}/{len(held)} = {100 * np.mean(held):.0f} % [{100 * low:.0f}–{100 * high:.0f}]"
+    )
 
 
 def reliability(p: Array, held: Array, path: Path) -> None:
@@ -119,7 +143,9 @@ def reliability(p: Array, held: Array, path: Path) -> None:
     cell = np.minimum((p * 10).astype(int), 9)
     shown = [b for b in range(10) if (cell == b).sum() >= 5]
     axis.plot([0, 1], [0, 1], color="#999", lw=0.8)
-    axis.plot([p[cell == b].mean() for b in shown], [held[cell == b].mean() for b in shown], marker="o")
+    axis.plot(
+        [p[cell == b].mean() for b in shown], [held[cell == b].mean() for b in shown], marker="o"
+    )
     for b in shown:
         axis.annotate(
             str((cell == b).sum()),
@@ -134,7 +160,9 @@ def reliability(p: Array, held: Array, path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--views", type=int, default=10)
     options = parser.parse_args()
     limit_threads()
@@ -145,13 +173,19 @@ def main() -> None:
         "Encoding a model of 4096 points, ms.",
         table(["basis points", "by", "ms"], neighbours()),
     ]
-    groups = {"procedural, unseen": [procedural_object(k) for k in UNSEEN], "the ten": list(ten_objects().values())}
+    groups = {
+        "procedural, unseen": [procedural_object(k) for k in UNSEEN],
+        "the ten": list(ten_objects().values()),
+    }
     rows, by_object = [], []
     for name, things in groups.items():
         found = in_physics(things, options.views, networks)
         rows += [[name, way, rate([h for _, h in held])] for way, held in found.items() if held]
         ways = ("single view, best free", "fused, best free")
-        by_object += [[t.name, *(rate([h for n, h in found[way] if n == t.name]) for way in ways)] for t in things]
+        by_object += [
+            [t.name, *(rate([h for n, h in found[way] if n == t.name]) for way in ways)]
+            for t in things
+        ]
     parts += [
         "Best-scored of 256 grasps tried in physics: closed, lifted, shaken with 2 g; one deeper than 4 mm in object or table "
         "counts as failed. `free`: the best of those that are not, as far as cloud and support tell.",
@@ -171,7 +205,11 @@ def main() -> None:
             [[f"{found_scores[k]:.3f}" for k in ("auc", "brier", "ece", "held")]],
         ),
     ]
-    print(write("ffhnet", "FFHNet", f"python -m benchmarks.ffhnet --views {options.views}", parts).read_text(encoding="utf-8"))
+    print(
+        write(
+            "ffhnet", "FFHNet", f"python -m benchmarks.ffhnet --views {options.views}", parts
+        ).read_text(encoding="utf-8")
+    )
 
 
 if __name__ == "__main__":

@@ -34,7 +34,9 @@ def noise(rng: np.random.Generator, n: int, scale: float) -> Array:
     return d
 
 
-def answers_of(rng: np.random.Generator, n: int, scale: float, effect: float, metric: int) -> list[str]:
+def answers_of(
+    rng: np.random.Generator, n: int, scale: float, effect: float, metric: int
+) -> list[str]:
     """What the gate says of each metric; `effect` and `scale` in units of what is relevant, the effect in one metric."""
     old = {m.name: rng.normal(0.5, 0.1, n) for m in METRICS}
     new = {m.name: old[m.name] + noise(rng, n, scale * m.relevant) for m in METRICS}
@@ -46,7 +48,9 @@ def answers_of(rng: np.random.Generator, n: int, scale: float, effect: float, me
 def false_alarms(runs: int, n: int, seed: int, scale: float = 5.0) -> tuple[int, int]:
     """A/A resamplings in which any metric is called worse or better, and how many there were."""
     rng = generator(seed, "A/A", n)
-    wrong = sum(bool({"worse", "better"} & set(answers_of(rng, n, scale, 0.0, 0))) for _ in range(runs))
+    wrong = sum(
+        bool({"worse", "better"} & set(answers_of(rng, n, scale, 0.0, 0))) for _ in range(runs)
+    )
     return wrong, runs
 
 
@@ -60,7 +64,9 @@ def replayed(folders: list[Path]) -> Array:
     for k, trial in enumerate(trials.index):
         close = trials["t_close_ns"].loc[trial]
         for r, run in enumerate(runs):
-            found = trial_metrics(run.frames(trial), runs[0].hindsight(trial), None if pd.isna(close) else int(close))
+            found = trial_metrics(
+                run.frames(trial), runs[0].hindsight(trial), None if pd.isna(close) else int(close)
+            )
             out[r, k] = [found[m.name] for m in METRICS]
     return out
 
@@ -90,7 +96,9 @@ def of_replays(folders: list[Path], runs: int) -> list[str]:
             continue
         # median over trials of the spread between seeds
         spread = float(np.median(np.std(of_metric, axis=0))) / m.relevant
-        noises.append([m.name, f"{spread:.2g}", f"{100 * np.mean(np.diff(of_metric, axis=0) != 0):.0f} %"])
+        noises.append(
+            [m.name, f"{spread:.2g}", f"{100 * np.mean(np.diff(of_metric, axis=0) != 0):.0f} %"]
+        )
     none = np.zeros(len(METRICS))
     alarms, powers = [], []
     for n in SIZES:
@@ -124,16 +132,26 @@ def of_replays(folders: list[Path], runs: int) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--runs", type=int, default=1000)
-    parser.add_argument("--replays", type=Path, nargs="+", default=[], help="runs of one data set with different seeds")
+    parser.add_argument(
+        "--replays",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="runs of one data set with different seeds",
+    )
     options = parser.parse_args()
     rows = []
     for scale in (1.0, 5.0, 20.0):
         for n in SIZES:
             wrong, runs = false_alarms(options.runs, n, 0, scale)
             low, high = wilson(wrong, runs)
-            rows.append([f"{scale:g}", str(n), f"{wrong}/{runs}", f"{100 * low:.1f}–{100 * high:.1f} %"])
+            rows.append(
+                [f"{scale:g}", str(n), f"{wrong}/{runs}", f"{100 * low:.1f}–{100 * high:.1f} %"]
+            )
     figure = Figure(figsize=(6.0, 3.4), layout="constrained")
     axis = figure.subplots()
     effects = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
@@ -141,7 +159,13 @@ def main() -> None:
     for n in SIZES:
         rng = generator(0, "power", n)
         power = [
-            np.mean([answers_of(rng, n, 3.0, float(e), 3)[3] == "worse" for _ in range(options.runs // 5)]) for e in effects
+            np.mean(
+                [
+                    answers_of(rng, n, 3.0, float(e), 3)[3] == "worse"
+                    for _ in range(options.runs // 5)
+                ]
+            )
+            for e in effects
         ]
         powers.append([str(n), *(f"{100 * p:.0f} %" for p in power)])
         axis.plot(effects, power, marker="o", ms=3, label=f"{n} trials")
@@ -162,7 +186,11 @@ def main() -> None:
     if options.replays:
         parts = of_replays(options.replays, options.runs) + parts
         command += f" --replays …  ({len(options.replays)} × dgeval replay datasets/ci-smoke/ci-smoke.toml --set seed=K)"
-    print(write("gate", "False alarms and power of the gate", command, parts).read_text(encoding="utf-8"))
+    print(
+        write("gate", "False alarms and power of the gate", command, parts).read_text(
+            encoding="utf-8"
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -66,14 +66,19 @@ def variants(
     rows = []
     pivot = (0.0, 0.0, 0.0)
     plans: list[tuple[str, str, bool, bool]] = [(mode, mode, False, True) for mode in MODES]
-    plans += [("200mm/s, 0.5 s removed", "200mm/s", True, True), ("still, 0.5 s removed", "still", True, True)]
+    plans += [
+        ("200mm/s, 0.5 s removed", "200mm/s", True, True),
+        ("still, 0.5 s removed", "still", True, True),
+    ]
     plans += [("still, no camera pose", "still", False, False)]
     for label, mode, with_gap, with_pose in plans:
         path = folder / "variant.mcap"
         first_ns = source.pairs[0][0]
         span = (source.pairs[-1][0] - first_ns) * 1e-9 * passes
         drop = (min(1.5, span / 2), 0.5) if with_gap else None
-        written = rebase(source, path, Motion(mode, direction, pivot), passes, drop, with_pose, colour_camera)
+        written = rebase(
+            source, path, Motion(mode, direction, pivot), passes, drop, with_pose, colour_camera
+        )
         frames = replayed(path, box, config, folder)
         places = frames[measure.FEATURE].dropna().to_numpy(dtype=float)
         if mode == "still" and with_pose and not with_gap and len(places):
@@ -82,9 +87,15 @@ def variants(
     return rows
 
 
-def _row(label: str, frames: pd.DataFrame, written: Written, with_gap: bool, with_pose: bool) -> list[str]:
+def _row(
+    label: str, frames: pd.DataFrame, written: Written, with_gap: bool, with_pose: bool
+) -> list[str]:
     n = result.number
-    truth = measure.rebased_truth(frames, written) if with_pose else measure.camera_frame_truth(frames, written)
+    truth = (
+        measure.rebased_truth(frames, written)
+        if with_pose
+        else measure.camera_frame_truth(frames, written)
+    )
     v = measure.velocity(frames, written, truth)
     tracking = frames["tracking"].value_counts()
     gap, again = "–", "–"
@@ -101,7 +112,9 @@ def _row(label: str, frames: pd.DataFrame, written: Written, with_gap: bool, wit
 
 def _truth_row(label: str, frames: pd.DataFrame, truth: synthetic.Truth) -> list[str]:
     n = result.number
-    T_camera_object = [invert(c) @ o for c, o in zip(truth.T_world_camera, truth.T_world_object, strict=True)]
+    T_camera_object = [
+        invert(c) @ o for c, o in zip(truth.T_world_camera, truth.T_world_object, strict=True)
+    ]
     place, turn = measure.pose_errors(frames, T_camera_object)
     iou = measure.box_iou(frames, truth.boxes)
 
@@ -118,7 +131,10 @@ def _truth_row(label: str, frames: pd.DataFrame, truth: synthetic.Truth) -> list
 def made_recordings(config: Config, folder: Path, n: int) -> list[str]:
     """Tables of the made recordings: pose and box against truth; velocity for the still box set moving."""
     rows, sections = [], []
-    for label, speed in (("still box", 0.0), ("box slides over the table, 0.1 m/s stop and go", 0.1)):
+    for label, speed in (
+        ("still box", 0.0),
+        ("box slides over the table, 0.1 m/s stop and go", 0.1),
+    ):
         path = folder / f"made_{round(speed * 1000)}.mcap"
         truth = synthetic.write(path, n, speed)
         source = open_trial(TrialSpec("made", path), config)
@@ -127,28 +143,53 @@ def made_recordings(config: Config, folder: Path, n: int) -> list[str]:
             copy = folder / "made_copy.mcap"
             written = rebase(source, copy, Motion("still"), with_pose=pose)
             frames = replayed(copy, truth.boxes[0], config, folder)
-            rows.append(_truth_row(f"{label}, {'with' if pose else 'without'} camera pose", frames, truth))
+            rows.append(
+                _truth_row(f"{label}, {'with' if pose else 'without'} camera pose", frames, truth)
+            )
             if speed and pose:
-                written = Written(written.t_ns, written.seconds, written.M, written.T_source, written.source_frame, motion)
+                written = Written(
+                    written.t_ns,
+                    written.seconds,
+                    written.M,
+                    written.T_source,
+                    written.source_frame,
+                    motion,
+                )
                 sliding = _row(label, frames, written, False, True)
-                sliding[HEAD.index("drift p95, mm")] = "–"  # its place in the base frame is not still
+                sliding[HEAD.index("drift p95, mm")] = (
+                    "–"  # its place in the base frame is not still
+                )
         if not speed:
             base_rows = variants(source, truth.boxes[0], config, folder)
-    sections.append("## Made recording: pose and box against exact truth\n\n" + result.table(HEAD_TRUTH, rows))
+    sections.append(
+        "## Made recording: pose and box against exact truth\n\n" + result.table(HEAD_TRUTH, rows)
+    )
     text = "Velocity errors in mm/s. The still box set moving by changed camera poses, and the box that really slides:"
-    sections.append(f"## Made recording: velocity\n\n{text}\n\n{result.table(HEAD, [*base_rows, sliding])}")
+    sections.append(
+        f"## Made recording: velocity\n\n{text}\n\n{result.table(HEAD, [*base_rows, sliding])}"
+    )
     return sections
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--source", type=Path, help="a real recording instead of the one below DGEVAL_REAL_DATA")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--source", type=Path, help="a real recording instead of the one below DGEVAL_REAL_DATA"
+    )
     parser.add_argument("--bbox", help="x0,y0,x1,y1 px in the first used frame")
     parser.add_argument("--frames", help="A:B")
     parser.add_argument("--passes", type=int, default=1)
-    parser.add_argument("--colour-camera", help="focal px, baseline m, where depth is not registered to colour")
-    parser.add_argument("--made-frames", type=int, default=99, help="length of the made recordings; 0: none")
-    parser.add_argument("--set", action="append", default=[], help="section.key=value, as for dgeval replay")
+    parser.add_argument(
+        "--colour-camera", help="focal px, baseline m, where depth is not registered to colour"
+    )
+    parser.add_argument(
+        "--made-frames", type=int, default=99, help="length of the made recordings; 0: none"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], help="section.key=value, as for dgeval replay"
+    )
     parser.add_argument("--name", default="moving", help="name of the result file")
     args = parser.parse_args()
     config = load_config(assignments=tuple(args.set))
@@ -159,7 +200,9 @@ def main() -> None:
             parts += made_recordings(config, folder, args.made_frames)
         sources = _real(args)
         if not sources:
-            parts.append("## Real pixels\n\nNot measured: DGEVAL_REAL_DATA names no folder and no --source was given.")
+            parts.append(
+                "## Real pixels\n\nNot measured: DGEVAL_REAL_DATA names no folder and no --source was given."
+            )
         for real in sources:
             source = open_trial(TrialSpec("real", real.path, frames=real.cut), config)
             rows = variants(source, real.box, config, folder, real.passes, real.colour_camera)
@@ -167,7 +210,11 @@ def main() -> None:
             parts.append(f"## Real pixels: {real.title()}\n\n{said}\n\n{result.table(HEAD, rows)}")
     command = "python -m benchmarks.moving" + "".join(f" --set {s}" for s in args.set)
     command += f" --name {args.name}" if args.name != "moving" else ""
-    command += f" --source {args.source.name} --bbox {args.bbox} --frames {args.frames}" if args.source else ""
+    command += (
+        f" --source {args.source.name} --bbox {args.bbox} --frames {args.frames}"
+        if args.source
+        else ""
+    )
     path = result.write(args.name, "Moving objects", command, parts)
     print(path.read_text(encoding="utf-8"))
 
@@ -182,13 +229,17 @@ class Real:
     cut: tuple[int, int] | None
     passes: int
     colour_camera: ColourCamera | None
-    radius: float | None  # m, of the sphere that holds the target and stands free on a table; None: no floor is measured
+    radius: (
+        float | None
+    )  # m, of the sphere that holds the target and stands free on a table; None: no floor is measured
 
     def title(self) -> str:
         span = f"frames {self.cut[0]}:{self.cut[1]}" if self.cut else "all frames"
         how = f"{self.name} of {self.path.name}, {span}, {self.passes} pass(es), box {','.join(f'{v:g}' for v in self.box)}"
         c = self.colour_camera
-        return how + (f", depth put into the colour camera ({c.focal:g} px, {c.baseline:g} m)" if c else "")
+        return how + (
+            f", depth put into the colour camera ({c.focal:g} px, {c.baseline:g} m)" if c else ""
+        )
 
 
 def _floor(real: Real, config: Config, folder: Path) -> str:
@@ -198,10 +249,14 @@ def _floor(real: Real, config: Config, folder: Path) -> str:
     source = open_trial(TrialSpec("real", real.path, frames=real.cut), config)
     path = folder / "floor.mcap"
     rebase(source, path, Motion("still"), 1, None, True, real.colour_camera)
-    places = replayed(path, real.box, config, folder)[measure.FEATURE].dropna().to_numpy(dtype=float)
+    places = (
+        replayed(path, real.box, config, folder)[measure.FEATURE].dropna().to_numpy(dtype=float)
+    )
     if not len(places):
         return "No feature point, so no floor."
-    speed, far = apparent_speed(open_trial(TrialSpec("floor", path), config), np.median(places, axis=0), real.radius)
+    speed, far = apparent_speed(
+        open_trial(TrialSpec("floor", path), config), np.median(places, axis=0), real.radius
+    )
     return (
         f"Without any tracker, from raw depth and the recorded poses alone, what stands there appears to move at "
         f"{speed:.1f} mm/s (up to {far:.1f} mm from its place in the middle frame): the recording's own "
@@ -216,12 +271,27 @@ def _real(args: argparse.Namespace) -> list[Real]:
         if path is None or not path.exists():
             return []
         return [
-            Real(path, name, box, cut, passes, KITCHEN_COLOUR, radius) for name, box, cut, passes, radius in KITCHEN_TARGETS
+            Real(path, name, box, cut, passes, KITCHEN_COLOUR, radius)
+            for name, box, cut, passes, radius in KITCHEN_TARGETS
         ]
     x0, y0, x1, y1 = (float(v) for v in args.bbox.split(","))
     cut = [int(v) for v in args.frames.split(":")] if args.frames else None
-    camera = ColourCamera(*(float(v) for v in args.colour_camera.split(","))) if args.colour_camera else None
-    return [Real(args.source, "target", (x0, y0, x1, y1), (cut[0], cut[1]) if cut else None, args.passes, camera, None)]
+    camera = (
+        ColourCamera(*(float(v) for v in args.colour_camera.split(",")))
+        if args.colour_camera
+        else None
+    )
+    return [
+        Real(
+            args.source,
+            "target",
+            (x0, y0, x1, y1),
+            (cut[0], cut[1]) if cut else None,
+            args.passes,
+            camera,
+            None,
+        )
+    ]
 
 
 NOTES = """Columns: RMSE and median of |velocity error| (3-D) at the feature point; "within 95 %": share of settled frames whose

@@ -68,7 +68,12 @@ def rebased_truth(frames: pd.DataFrame, written: Written) -> Array:
     """Velocity (n, 3) m/s of the feature point of an object that stands still in the source, base frame of the variant."""
     places = frames[FEATURE].to_numpy(dtype=float)
     start = written.seconds[0]
-    return np.array([written.motion.velocity(t - start, p) for t, p in zip(written.seconds, places, strict=True)])
+    return np.array(
+        [
+            written.motion.velocity(t - start, p)
+            for t, p in zip(written.seconds, places, strict=True)
+        ]
+    )
 
 
 def camera_frame_truth(frames: pd.DataFrame, written: Written) -> Array:
@@ -86,10 +91,16 @@ def camera_frame_truth(frames: pd.DataFrame, written: Written) -> Array:
 def drift(frames: pd.DataFrame, written: Written) -> float:
     """p95 of the feature point's distance from its median place in the source's base frame, mm: it stood still there."""
     places = frames[FEATURE].to_numpy(dtype=float)
-    back = [transform(invert(M), p[None])[0] for M, p in zip(written.M, places, strict=True) if np.isfinite(p[0])]
+    back = [
+        transform(invert(M), p[None])[0]
+        for M, p in zip(written.M, places, strict=True)
+        if np.isfinite(p[0])
+    ]
     if not back:
         return float("nan")
-    return float(np.quantile(np.linalg.norm(np.array(back) - np.median(back, axis=0), axis=1), 0.95) * 1e3)
+    return float(
+        np.quantile(np.linalg.norm(np.array(back) - np.median(back, axis=0), axis=1), 0.95) * 1e3
+    )
 
 
 def gap(frames: pd.DataFrame, written: Written) -> tuple[float, float, float]:
@@ -102,7 +113,11 @@ def gap(frames: pd.DataFrame, written: Written) -> tuple[float, float, float]:
     predicted = float(np.linalg.norm(places[i] + speeds[i] * dt - true) * 1e3)
     said = float(np.linalg.norm(places[i + 1] - true) * 1e3)
     accepted = np.nonzero(~frames["predicted"].to_numpy(dtype=bool)[i + 1 :])[0]
-    again = float(written.seconds[i + 1 + accepted[0]] - written.seconds[i + 1]) if len(accepted) else float("inf")
+    again = (
+        float(written.seconds[i + 1 + accepted[0]] - written.seconds[i + 1])
+        if len(accepted)
+        else float("inf")
+    )
     return predicted, said, again
 
 
@@ -120,19 +135,32 @@ def pose_errors(frames: pd.DataFrame, T_camera_object: list[Array]) -> tuple[Arr
     centres = np.array([transform(invert(T), np.zeros((1, 3)))[0] for T in relative])
     A[:3, 3] = -A[:3, :3] @ np.median(centres, axis=0)
     believed = [T @ invert(A) for T in seen]
-    place = [float(np.linalg.norm(b[:3, 3] - T_camera_object[i][:3, 3])) * 1e3 for i, b in zip(rows, believed, strict=True)]
-    turn = [np.rad2deg(rotation_angle(b[:3, :3].T @ T_camera_object[i][:3, :3])) for i, b in zip(rows, believed, strict=True)]
+    place = [
+        float(np.linalg.norm(b[:3, 3] - T_camera_object[i][:3, 3])) * 1e3
+        for i, b in zip(rows, believed, strict=True)
+    ]
+    turn = [
+        np.rad2deg(rotation_angle(b[:3, :3].T @ T_camera_object[i][:3, :3]))
+        for i, b in zip(rows, believed, strict=True)
+    ]
     return np.array(place), np.array(turn)
 
 
 def box_iou(frames: pd.DataFrame, boxes: list[tuple[float, float, float, float]]) -> Array:
     """Intersection over union of the tracked box with the true one, frames with a box only."""
     out = []
-    for row, true in zip(frames[["box_x0", "box_y0", "box_x1", "box_y1"]].to_numpy(dtype=float), boxes, strict=True):
+    for row, true in zip(
+        frames[["box_x0", "box_y0", "box_x1", "box_y1"]].to_numpy(dtype=float), boxes, strict=True
+    ):
         if np.isfinite(row[0]):
-            w, h = min(row[2], true[2]) - max(row[0], true[0]), min(row[3], true[3]) - max(row[1], true[1])
+            w, h = (
+                min(row[2], true[2]) - max(row[0], true[0]),
+                min(row[3], true[3]) - max(row[1], true[1]),
+            )
             both = max(w, 0.0) * max(h, 0.0)
-            areas = (row[2] - row[0]) * (row[3] - row[1]) + (true[2] - true[0]) * (true[3] - true[1])
+            areas = (row[2] - row[0]) * (row[3] - row[1]) + (true[2] - true[0]) * (
+                true[3] - true[1]
+            )
             out.append(both / (areas - both))
     return np.array(out)
 

@@ -79,24 +79,39 @@ def rebase(
                 moved = transform_message(t_ns, base, camera, pose)
                 writer.write("/tf", t_ns, message("tf2_msgs/TFMessage", transforms=[moved]))
                 if has_topic:
-                    stamped = message("geometry_msgs/PoseStamped", header=header(t_ns, base), pose=pose_message(pose))
+                    stamped = message(
+                        "geometry_msgs/PoseStamped",
+                        header=header(t_ns, base),
+                        pose=pose_message(pose),
+                    )
                     writer.write("/camera_pose", t_ns, stamped)
             if drop is not None and drop[0] <= t < drop[0] + drop[1]:
                 continue
             colour, depth = images[k][1:]
             intrinsics = colour_camera.intrinsics(trial.camera) if colour_camera else trial.camera
-            writer.write("/camera/color/camera_info", t_ns, camera_info_message(t_ns, camera, intrinsics))
+            writer.write(
+                "/camera/color/camera_info", t_ns, camera_info_message(t_ns, camera, intrinsics)
+            )
             writer.write(trial.roles.colour, t_ns, _restamped(colour, t_ns))
             if colour_camera is None:
                 writer.write(trial.roles.depth, t_ns, _restamped(depth, t_ns))
             else:
                 metres = depth_from(decode_image(depth), trial.config.calibration.depth_scale)
-                moved_depth = raw_depth_message(t_ns, camera, colour_camera.register(metres, trial.camera))
+                moved_depth = raw_depth_message(
+                    t_ns, camera, colour_camera.register(metres, trial.camera)
+                )
                 writer.write("/camera/depth_in_colour/image_raw", t_ns, moved_depth)
             written.append((t_ns, M, T, k))
     t_list = [w[0] for w in written]
     seconds = (np.array(t_list) - stamps[0]) * 1e-9
-    return Written(t_list, seconds, [w[1] for w in written], [w[2] for w in written], [w[3] for w in written], motion)
+    return Written(
+        t_list,
+        seconds,
+        [w[1] for w in written],
+        [w[2] for w in written],
+        [w[3] for w in written],
+        motion,
+    )
 
 
 def _images(trial: Trial) -> list[tuple[int, Any, Any]]:
@@ -140,25 +155,36 @@ def _order(n: int, passes: int) -> list[int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("source", type=Path, help="a recording that dgeval reads")
     parser.add_argument("out", type=Path, help="MCAP file to write")
     parser.add_argument("--mode", choices=sorted(MODES), default="200mm/s")
     parser.add_argument("--direction", default="1,0,0", help="unit vector, base axes")
-    parser.add_argument("--pivot", default="0,0,0", help="m, base frame: the point slow-yaw turns about")
+    parser.add_argument(
+        "--pivot", default="0,0,0", help="m, base frame: the point slow-yaw turns about"
+    )
     parser.add_argument("--frames", help="A:B, paired frames of the source")
     parser.add_argument("--passes", type=int, default=1, help="forward, backward, forward, …")
     parser.add_argument("--drop-from", type=float, help="s after the first frame")
     parser.add_argument("--drop-for", type=float, default=0.5, help="s")
     parser.add_argument("--no-pose", action="store_true", help="leave the camera poses out")
-    parser.add_argument("--colour-camera", help="focal px, baseline m of an unregistered colour camera, e.g. 525,0.025")
+    parser.add_argument(
+        "--colour-camera",
+        help="focal px, baseline m of an unregistered colour camera, e.g. 525,0.025",
+    )
     args = parser.parse_args()
     frames = tuple(int(v) for v in args.frames.split(":")) if args.frames else None
     trial = open_trial(TrialSpec("source", args.source, frames=frames), Config())  # type: ignore[arg-type]
     triple = [tuple(float(v) for v in text.split(",")) for text in (args.direction, args.pivot)]
     motion = Motion(args.mode, *triple)  # type: ignore[arg-type]
     drop = (args.drop_from, args.drop_for) if args.drop_from is not None else None
-    colour_camera = ColourCamera(*(float(v) for v in args.colour_camera.split(","))) if args.colour_camera else None
+    colour_camera = (
+        ColourCamera(*(float(v) for v in args.colour_camera.split(",")))
+        if args.colour_camera
+        else None
+    )
     written = rebase(trial, args.out, motion, args.passes, drop, not args.no_pose, colour_camera)
     print(f"{args.out}: {len(written.t_ns)} frames over {written.seconds[-1]:.2f} s, {args.mode}")
 

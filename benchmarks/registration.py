@@ -100,12 +100,22 @@ def first_model(draws: int) -> str:
             fits = []
             for _ in range(VIEWS * draws):
                 model = scenes.model_of([seen], rng)
-                case = Case(scenes.observed(seen, rng), seen.camera, seen.T_camera_object, seen.T_camera_object, NO_FEATURES)
+                case = Case(
+                    scenes.observed(seen, rng),
+                    seen.camera,
+                    seen.T_camera_object,
+                    seen.T_camera_object,
+                    NO_FEATURES,
+                )
                 fits.append(fit(case, model, "small_gicp", case.truth))
-            row.append(f"{sum(f.reason is not None for f in fits)} of {len(fits)} ({np.median([f.fitness for f in fits]):.2f})")
+            row.append(
+                f"{sum(f.reason is not None for f in fits)} of {len(fits)} ({np.median([f.fitness for f in fits]):.2f})"
+            )
         rows.append(row)
     text = "True pose seen again from the same view with new noise, started at the truth: refused (median gate fitness)."
-    return f"## Second frame\n\n{text}\n\n" + result.table(["box", *(f"{d:g} m" for d in scenes.RANGES)], rows)
+    return f"## Second frame\n\n{text}\n\n" + result.table(
+        ["box", *(f"{d:g} m" for d in scenes.RANGES)], rows
+    )
 
 
 def cases(half: tuple[float, float, float], distance: float, seed: int, draws: int) -> list[Case]:
@@ -117,11 +127,21 @@ def cases(half: tuple[float, float, float], distance: float, seed: int, draws: i
         for _ in range(draws):
             seen_features = scenes.features(seen, rng)
             start = scenes.disturbed(seen.T_camera_object, rng, START_M, START_RAD)
-            out.append(Case(scenes.observed(seen, rng), seen.camera, seen.T_camera_object, start, seen_features))
+            out.append(
+                Case(
+                    scenes.observed(seen, rng),
+                    seen.camera,
+                    seen.T_camera_object,
+                    start,
+                    seen_features,
+                )
+            )
     return out
 
 
-def moved_cases(half: tuple[float, float, float], distance: float, kind: str, seed: int, draws: int) -> list[Case]:
+def moved_cases(
+    half: tuple[float, float, float], distance: float, kind: str, seed: int, draws: int
+) -> list[Case]:
     """The box shifted or turned between two frames; registration starts where it was."""
     rng = np.random.default_rng(seed)
     shift_m, turn = MOVED[kind]
@@ -134,7 +154,13 @@ def moved_cases(half: tuple[float, float, float], distance: float, kind: str, se
         for _ in range(draws):
             seen_features = scenes.features(seen, rng)
             out.append(
-                Case(scenes.observed(seen, rng), seen.camera, seen.T_camera_object, before.T_camera_object, seen_features)
+                Case(
+                    scenes.observed(seen, rng),
+                    seen.camera,
+                    seen.T_camera_object,
+                    before.T_camera_object,
+                    seen_features,
+                )
             )
     return out
 
@@ -157,27 +183,43 @@ def measured(draws: int, progress: Callable[[str], None]) -> list[str]:
             sets |= {kind: moved_cases(half, distance, kind, seed + 2, draws) for kind in MOVED}
             row = [box, f"{distance:g}"]
             for backend in BACKENDS:
-                raw.setdefault((backend, distance), []).extend(alone(c, model, backend) for c in sets["true pose"])
+                raw.setdefault((backend, distance), []).extend(
+                    alone(c, model, backend) for c in sets["true pose"]
+                )
             for method in METHODS:
                 for kind, given in sets.items():
-                    fits = [fit(c, model, method, c.truth if kind == "true pose" else c.start) for c in given]
+                    fits = [
+                        fit(c, model, method, c.truth if kind == "true pose" else c.start)
+                        for c in given
+                    ]
                     pooled.setdefault((method, distance, kind), []).extend((box, f) for f in fits)
                     if kind == "true pose":
                         times[method] += [f.seconds * 1e3 for f in fits]
-                        row.append(f"{quantiles([f.mm for f in fits], 1)}; {quantiles([f.deg for f in fits], 1)}")
+                        row.append(
+                            f"{quantiles([f.mm for f in fits], 1)}; {quantiles([f.deg for f in fits], 1)}"
+                        )
             accuracy.append(row)
     for method in METHODS:
         for distance in scenes.RANGES:
             true = [f for _, f in pooled[method, distance, "true pose"]]
             rejects = f"{sum(f.reason is not None for f in true)} of {len(true)} ({np.min([f.fitness for f in true]):.2f})"
-            gates.append([method, f"{distance:g}", rejects, *(_moved_cell(pooled[method, distance, kind]) for kind in MOVED)])
+            gates.append(
+                [
+                    method,
+                    f"{distance:g}",
+                    rejects,
+                    *(_moved_cell(pooled[method, distance, kind]) for kind in MOVED),
+                ]
+            )
     before = []
     for backend in BACKENDS:
         row = [backend]
         for distance in scenes.RANGES:
             mm, deg, _ = zip(*raw[backend, distance], strict=True)
             row.append(f"{quantiles(list(mm), 1)}; {quantiles(list(deg), 1)}")
-        before.append([*row, quantiles([ms for d in scenes.RANGES for *_, ms in raw[backend, d]], 1)])
+        before.append(
+            [*row, quantiles([ms for d in scenes.RANGES for *_, ms in raw[backend, d]], 1)]
+        )
     speed = [[m, quantiles(t, 1)] for m, t in times.items()]
     return [
         f"## Accuracy\n\nmm median / p95; deg median / p95; started {START_M * 1e3:g} mm and 2° off; {VIEWS * draws} cases "
@@ -190,7 +232,8 @@ def measured(draws: int, progress: Callable[[str], None]) -> list[str]:
         "## Gate\n\nFalse rejects: true poses refused (least gate fitness). Moved boxes, registration started where the box "
         f"was: poses found within {WRONG_MM:g} mm and {WRONG_DEG:g}°; then of the wrong ones how many have more than 0.8 of "
         "their points matched within the search radius of 20 mm → pass the gate's own fitness → pass the whole gate (with "
-        "the motion limits, 1/30 s).\n\n" + result.table(["method", "range, m", "false rejects", *MOVED], gates),
+        "the motion limits, 1/30 s).\n\n"
+        + result.table(["method", "range, m", "false rejects", *MOVED], gates),
     ]
 
 
@@ -223,20 +266,40 @@ def determinism(repeats: int) -> str:
     rows = []
     for backend in BACKENDS:
         here = poses_digest(backend, repeats)
-        command = [sys.executable, "-m", "benchmarks.registration", "--digest", backend, "--repeats", str(repeats)]
-        others = [subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() for _ in range(2)]
-        equal = "yes" if len({here, *others}) == 1 and "different" not in here else f"no: {here}, {', '.join(others)}"
+        command = [
+            sys.executable,
+            "-m",
+            "benchmarks.registration",
+            "--digest",
+            backend,
+            "--repeats",
+            str(repeats),
+        ]
+        others = [
+            subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+            for _ in range(2)
+        ]
+        equal = (
+            "yes"
+            if len({here, *others}) == 1 and "different" not in here
+            else f"no: {here}, {', '.join(others)}"
+        )
         rows.append([backend, equal])
-    return f"## Determinism\n\n{repeats} repeats in each of 3 processes, bit for bit.\n\n" + result.table(
-        ["method", "equal"], rows
+    return (
+        f"## Determinism\n\n{repeats} repeats in each of 3 processes, bit for bit.\n\n"
+        + result.table(["method", "equal"], rows)
     )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--draws", type=int, default=DRAWS, help="noise draws per view")
     parser.add_argument("--repeats", type=int, default=20)
-    parser.add_argument("--digest", choices=sorted(BACKENDS), help="only print the digest of one backend's poses")
+    parser.add_argument(
+        "--digest", choices=sorted(BACKENDS), help="only print the digest of one backend's poses"
+    )
     parser.add_argument("--name", default="registration", help="name of the result file")
     args = parser.parse_args()
     limit_threads()

@@ -42,16 +42,26 @@ class View:
     T_camera_object: Array
 
 
-def view(half: tuple[float, float, float], distance: float, turn: float, shift: Array, yaw: float) -> View:
+def view(
+    half: tuple[float, float, float], distance: float, turn: float, shift: Array, yaw: float
+) -> View:
     """The box seen from `distance` m, the camera `turn` rad around it; the box shifted (3,) m and turned by yaw rad."""
     T_object = increment(np.array([*shift, 0.0, 0.0, YAW + yaw]))
     T_object[2, 3] += half[2]
     at = np.array([0.0, 0.0, half[2]])
     azimuth = AZIMUTH + turn
-    ray = np.array([np.cos(azimuth) * np.cos(ELEVATION), np.sin(azimuth) * np.cos(ELEVATION), np.sin(ELEVATION)])
+    ray = np.array(
+        [
+            np.cos(azimuth) * np.cos(ELEVATION),
+            np.sin(azimuth) * np.cos(ELEVATION),
+            np.sin(ELEVATION),
+        ]
+    )
     T_camera = look_at(at + distance * ray, at, turn)
     T = invert(T_camera) @ T_object
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * np.array(half)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * np.array(
+        half
+    )
     pixels = FULL.project(transform(T, corners))
     x0, y0 = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - 8, 0)
     x1, y1 = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + 8, (FULL.width, FULL.height))
@@ -75,7 +85,13 @@ def observed(seen: View, rng: np.random.Generator) -> Observation:
 
 def model(half: tuple[float, float, float], distance: float, rng: np.random.Generator) -> Model:
     """Q after six accepted frames at true poses, the camera turning by 5 degrees; model frame = the object's."""
-    return model_of([view(half, distance, float(turn), np.zeros(3), 0.0) for turn in np.linspace(-0.045, 0.045, 6)], rng)
+    return model_of(
+        [
+            view(half, distance, float(turn), np.zeros(3), 0.0)
+            for turn in np.linspace(-0.045, 0.045, 6)
+        ],
+        rng,
+    )
 
 
 def model_of(views: list[View], rng: np.random.Generator) -> Model:
@@ -91,7 +107,9 @@ def features(seen: View, rng: np.random.Generator) -> Features:
     """Points of the visible faces and where a feature tracker with 0.5 px noise sees them."""
     v, u = np.nonzero(seen.mask)
     chosen = rng.choice(len(v), min(FEATURES, len(v)), replace=False)
-    points = seen.camera.backproject(u[chosen].astype(float), v[chosen].astype(float), seen.depth[v[chosen], u[chosen]])
+    points = seen.camera.backproject(
+        u[chosen].astype(float), v[chosen].astype(float), seen.depth[v[chosen], u[chosen]]
+    )
     pixels = seen.camera.project(points) + rng.normal(0, FEATURE_NOISE_PX, (len(points), 2))
     return Features(transform(invert(seen.T_camera_object), points), pixels)
 
@@ -100,6 +118,9 @@ def disturbed(T: Array, rng: np.random.Generator, metres: float, angle: float) -
     """T with the object's centre shifted by `metres` and its axes turned by `angle` rad, both in random directions."""
     shift, axis = rng.standard_normal(3), rng.standard_normal(3)
     out = T.copy()
-    out[:3, :3] = increment(np.concatenate([np.zeros(3), axis / np.linalg.norm(axis) * angle]))[:3, :3] @ T[:3, :3]
+    out[:3, :3] = (
+        increment(np.concatenate([np.zeros(3), axis / np.linalg.norm(axis) * angle]))[:3, :3]
+        @ T[:3, :3]
+    )
     out[:3, 3] += shift / np.linalg.norm(shift) * metres
     return out

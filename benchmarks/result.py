@@ -24,7 +24,9 @@ def number(value: float | None, digits: int = 1) -> str:
     return "–" if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
 
 
-def write(name: str, title: str, command: str, parts: Sequence[str], folder: Path = RESULTS) -> Path:
+def write(
+    name: str, title: str, command: str, parts: Sequence[str], folder: Path = RESULTS
+) -> Path:
     """results/NAME.md: title, how it was made, the parts."""
     made = f"Made by `{command}` with dgeval {dgeval.__version__} (sources {source_digest()}) on {processor()}."
     path = folder / f"{name}.md"
@@ -47,6 +49,10 @@ def processor() -> str:
     name = platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
-        found = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+        found = [
+            line.split(":", 1)[1].strip()
+            for line in info.read_text().splitlines()
+            if line.startswith("model name")
+        ]
         name = found[0] if found else name
     return f"{name}, Python {platform.python_version()}"

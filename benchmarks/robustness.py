@@ -70,19 +70,29 @@ def hand_eye(description: str) -> str:
     origin = joint.find("origin")
     assert origin is not None
     xyz, rpy = ([float(v) for v in origin.attrib[k].split()] for k in ("xyz", "rpy"))
-    T = matrix_from_pose(np.array([*xyz, *Rotation.from_euler("xyz", rpy).as_quat()])) @ increment(HAND_EYE)
+    T = matrix_from_pose(np.array([*xyz, *Rotation.from_euler("xyz", rpy).as_quat()])) @ increment(
+        HAND_EYE
+    )
     origin.set("xyz", " ".join(repr(float(v)) for v in T[:3, 3]))
-    origin.set("rpy", " ".join(repr(float(v)) for v in Rotation.from_matrix(T[:3, :3]).as_euler("xyz")))
+    origin.set(
+        "rpy", " ".join(repr(float(v)) for v in Rotation.from_matrix(T[:3, :3]).as_euler("xyz"))
+    )
     return ElementTree.tostring(robot, encoding="unicode")
 
 
 def noisier(data: NDArray[np.uint8], log_ns: int, focal: float) -> NDArray[np.uint8]:
     """Compressed depth with twice the noise of the camera's model, in disparity and smooth over a window as there."""
     depth = cv2.imdecode(data[12:], cv2.IMREAD_UNCHANGED)
-    smooth = cv2.GaussianBlur(generator(0, "noisier", log_ns % 2**31).normal(size=depth.shape), (0, 0), D435.correlation)
-    smooth *= np.sqrt(3) * D435.subpixel_sigma / smooth.std()  # variances add: three more parts beside the one that is there
+    smooth = cv2.GaussianBlur(
+        generator(0, "noisier", log_ns % 2**31).normal(size=depth.shape), (0, 0), D435.correlation
+    )
+    smooth *= (
+        np.sqrt(3) * D435.subpixel_sigma / smooth.std()
+    )  # variances add: three more parts beside the one that is there
     disparity = focal * D435.baseline / np.maximum(depth * D435.depth_unit, 1e-3) + smooth
-    noisy = np.where(depth > 0, focal * D435.baseline / np.maximum(disparity, 1e-3) / D435.depth_unit, 0)
+    noisy = np.where(
+        depth > 0, focal * D435.baseline / np.maximum(disparity, 1e-3) / D435.depth_unit, 0
+    )
     png = cv2.imencode(".png", np.clip(np.rint(noisy), 0, 65535).astype(np.uint16))[1].ravel()
     return np.concatenate([data[:12], png])
 
@@ -108,7 +118,9 @@ def verdict(job: tuple[TrialSpec, str, Path]) -> dict[str, Any]:
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"{spec.id}.mcap"
     rewrite(spec.recording, file, name)
-    result = replay_trial(replace(spec, recording=file, sha256=None), load_config(), folder, None, True)
+    result = replay_trial(
+        replace(spec, recording=file, sha256=None), load_config(), folder, None, True
+    )
     file.unlink()
     if result.row is None:
         return {
@@ -118,7 +130,9 @@ def verdict(job: tuple[TrialSpec, str, Path]) -> dict[str, Any]:
             "failure_class": None,
             "evidence": "; ".join(result.messages),
         }
-    kept = {k: result.row[k] for k in ("outcome", "failure_class", "sub_cause", "blame", "evidence")}
+    kept = {
+        k: result.row[k] for k in ("outcome", "failure_class", "sub_cause", "blame", "evidence")
+    }
     return {"trial": spec.id, "change": name, **kept}
 
 
@@ -130,12 +144,23 @@ def rows_of(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("manifest", type=Path, nargs="+")
-    parser.add_argument("--trial", action="append", help="only this one; may be given several times")
-    parser.add_argument("--work", type=Path, required=True, help="folder for runs; changed recordings are deleted again")
+    parser.add_argument(
+        "--trial", action="append", help="only this one; may be given several times"
+    )
+    parser.add_argument(
+        "--work",
+        type=Path,
+        required=True,
+        help="folder for runs; changed recordings are deleted again",
+    )
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--tables", action="store_true", help="only make the table of an earlier run again")
+    parser.add_argument(
+        "--tables", action="store_true", help="only make the table of an earlier run again"
+    )
     options = parser.parse_args()
     truth = read_truth(options.manifest)
     options.work.mkdir(parents=True, exist_ok=True)
@@ -159,11 +184,20 @@ def main() -> None:
         right = sum(r["failure_class"] == truth[r["trial"]]["failure_class"] for r in failed)
         silent = sum(r["failure_class"] in ("unknown", None) for r in failed)
         other = [r for r in failed if r["failure_class"] != before[r["trial"]]["failure_class"]]
-        moved = ", ".join(f"{r['trial']} {before[r['trial']]['failure_class']} to {r['failure_class']}" for r in other)
-        cells.append([name, f"{outcome}/{len(found)}", f"{right}/{len(failed)}", str(silent), moved or "–"])
+        moved = ", ".join(
+            f"{r['trial']} {before[r['trial']]['failure_class']} to {r['failure_class']}"
+            for r in other
+        )
+        cells.append(
+            [name, f"{outcome}/{len(found)}", f"{right}/{len(failed)}", str(silent), moved or "–"]
+        )
     head = ["recording", "outcome right", "class right", "no class", "other class than as recorded"]
     command = f"python -m benchmarks.robustness {' '.join(p.name for p in options.manifest)}"
-    print(write("robustness", "Verdicts on changed recordings", command, [table(head, cells)], RESULTS).read_text())
+    print(
+        write(
+            "robustness", "Verdicts on changed recordings", command, [table(head, cells)], RESULTS
+        ).read_text()
+    )
 
 
 if __name__ == "__main__":

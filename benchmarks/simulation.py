@@ -18,7 +18,9 @@ from dgeval.statistics import wilson
 
 from benchmarks.result import table, write
 
-PUBLISHED = json.loads((resources.files("dgeval.report") / "published" / "papers.json").read_text(encoding="utf-8"))
+PUBLISHED = json.loads(
+    (resources.files("dgeval.report") / "published" / "papers.json").read_text(encoding="utf-8")
+)
 KINDS = ("success", "imprecise_pose", "collision", "timing")
 
 
@@ -48,7 +50,9 @@ def rates(results: list[dict[str, Any]], paper: dict[str, Any], by: str) -> str:
             printed = f"{paper['printed']['overall']} %" if paper else "–"
         elif name in counts:
             printed = f"{100 * counts[name] / paper[each]:.0f} %"
-        rows.append([name or "all", f"{k}/{len(some)}", f"{100 * low:.0f}–{100 * high:.0f} %", printed])
+        rows.append(
+            [name or "all", f"{k}/{len(some)}", f"{100 * low:.0f}–{100 * high:.0f} %", printed]
+        )
     return table(["belt mm/s" if by == "speed" else by, "succeeded", "95 % Wilson", "paper"], rows)
 
 
@@ -57,16 +61,31 @@ def shares(results: list[dict[str, Any]]) -> str:
     failures = len(results) - counts["success"]
     near = Counter(kind(r) for r in results if r["verdict"]["near_threshold"])
     rows = [
-        [k, str(counts[k]), "–" if k == "success" else f"{100 * counts[k] / max(failures, 1):.0f} %", str(near[k])]
+        [
+            k,
+            str(counts[k]),
+            "–" if k == "success" else f"{100 * counts[k] / max(failures, 1):.0f} %",
+            str(near[k]),
+        ]
         for k in KINDS
     ]
-    return table(["kind", "trials", "share of failures", "class changes when a threshold moves by 20 %"], rows)
+    return table(
+        ["kind", "trials", "share of failures", "class changes when a threshold moves by 20 %"],
+        rows,
+    )
 
 
 def seconds(results: list[dict[str, Any]]) -> str:
     parts = sorted({p for r in results for p in r["seconds"]})
     rows = [
-        [p, *(f"{f([r['seconds'].get(p, 0.0) for r in results]):.1f}" for f in (np.mean, np.median, np.max))] for p in parts
+        [
+            p,
+            *(
+                f"{f([r['seconds'].get(p, 0.0) for r in results]):.1f}"
+                for f in (np.mean, np.median, np.max)
+            ),
+        ]
+        for p in parts
     ]
     return table(["part", "mean s", "median s", "largest s"], rows)
 
@@ -106,7 +125,9 @@ def main() -> None:
     name, grasps = verdict["scenario"], verdict.get("grasps", "analytic")
     paper = PUBLISHED.get(name, {})
     stands = (
-        "an analytic sampler and score for FFHNet" if grasps == "analytic" else "nothing for FFHNet, whose weights are ours"
+        "an analytic sampler and score for FFHNet"
+        if grasps == "analytic"
+        else "nothing for FFHNet, whose weights are ours"
     )
     notes = (
         f"Stood in: modelled perception for TransT-M and ICP in the loop, {stands}; "
@@ -114,7 +135,11 @@ def main() -> None:
     )
     clean = [r for r in results if not r["verdict"]["faults_present"]]
     parts = [notes, rates(results, paper, "speed"), rates(results, paper, "object")]
-    parts += [f"Of the {len(clean)} trials without an injected fault:", rates(clean, paper, "object")] if clean else []
+    parts += (
+        [f"Of the {len(clean)} trials without an injected fault:", rates(clean, paper, "object")]
+        if clean
+        else []
+    )
     parts += [shares(results), seconds(results)]
     suffix = "" if grasps == "analytic" else f"-{grasps}"
     command = f"python -m benchmarks.simulation {path.name}"
@@ -125,7 +150,11 @@ def main() -> None:
             stability(results, n, next(path.parent.glob("*.toml")).stem),
         ]
         command += f" --stability {n}"
-    print(write(f"simulation-{name}{suffix}", f"Simulated campaign: {name}", command, parts).read_text())
+    print(
+        write(
+            f"simulation-{name}{suffix}", f"Simulated campaign: {name}", command, parts
+        ).read_text()
+    )
 
 
 if __name__ == "__main__":

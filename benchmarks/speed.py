@@ -57,9 +57,16 @@ print(time.perf_counter() - before, usage.ru_maxrss, os.waitstatus_to_exitcode(s
 def run(arguments: list[str]) -> Run:
     """Run this Python with arguments."""
     command = [sys.executable, "-c", LAUNCH, sys.executable, *arguments]
-    words = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split(maxsplit=3)
+    words = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split(
+        maxsplit=3
+    )
     scale = MIB if sys.platform != "darwin" else MIB * 1024
-    return Run(float(words[0]), float(words[1]) / scale, int(words[2]), words[3].strip() if len(words) > 3 else "")
+    return Run(
+        float(words[0]),
+        float(words[1]) / scale,
+        int(words[2]),
+        words[3].strip() if len(words) > 3 else "",
+    )
 
 
 def decode(path: Path) -> tuple[int, float]:
@@ -90,7 +97,15 @@ def measured(recording: Recording, folder: Path) -> tuple[list[list[str]], list[
     rows: list[list[str]] = []
     decoded, decode_s = floor.said.split()
     rows.append(
-        [recording.name, "scan and decode", decoded, n(floor.seconds), "–", n(int(decoded) / float(decode_s)), _mib(floor)]
+        [
+            recording.name,
+            "scan and decode",
+            decoded,
+            n(floor.seconds),
+            "–",
+            n(int(decoded) / float(decode_s)),
+            _mib(floor),
+        ]
     )
     per_frame = np.zeros(0)
     for way, arguments in ways.items():
@@ -100,11 +115,25 @@ def measured(recording: Recording, folder: Path) -> tuple[list[list[str]], list[
         timings = pd.read_parquet(out / "timings.parquet")
         per_frame = timings.groupby(["trial", "frame"])["seconds"].sum().to_numpy()
         rate, inside = len(per_frame) / done.seconds, len(per_frame) / per_frame.sum()
-        rows.append([recording.name, way, str(len(per_frame)), n(done.seconds), n(rate), n(inside), _mib(done)])
+        rows.append(
+            [
+                recording.name,
+                way,
+                str(len(per_frame)),
+                n(done.seconds),
+                n(rate),
+                n(inside),
+                _mib(done),
+            ]
+        )
     ms = timings.assign(ms=timings["seconds"] * 1e3).groupby("stage", sort=False)["ms"]
     stages = [f"{g.median():.1f} / {g.quantile(0.95):.1f}" for _, g in ms]
     total = per_frame * 1e3
-    return rows, [recording.name, *stages, f"{np.median(total):.1f} / {np.quantile(total, 0.95):.1f}"]
+    return rows, [
+        recording.name,
+        *stages,
+        f"{np.median(total):.1f} / {np.quantile(total, 0.95):.1f}",
+    ]
 
 
 def _mib(done: Run) -> str:
@@ -127,10 +156,14 @@ def recordings(folder: Path, frames: int, times: int) -> list[Recording]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--frames", type=int, default=99, help="of the made recording")
     parser.add_argument("--times", type=int, default=20, help="length of the long recording")
-    parser.add_argument("--decode", type=Path, help="only decode this recording (used by the benchmark itself)")
+    parser.add_argument(
+        "--decode", type=Path, help="only decode this recording (used by the benchmark itself)"
+    )
     parser.add_argument("--name", default="speed", help="name of the result file")
     args = parser.parse_args()
     if args.decode is not None:
@@ -138,22 +171,35 @@ def main() -> None:
         return
     before = os.getloadavg()[0]
     start = run(["-m", "dgeval", "--help"])
-    rows: list[list[str]] = [["–", "dgeval --help", "–", result.number(start.seconds), "–", "–", _mib(start)]]
+    rows: list[list[str]] = [
+        ["–", "dgeval --help", "–", result.number(start.seconds), "–", "–", _mib(start)]
+    ]
     stage_rows: list[list[str]] = []
     with tempfile.TemporaryDirectory() as name:
         for recording in recordings(Path(name), args.frames, args.times):
             print(recording.name, file=sys.stderr)
             with tempfile.TemporaryDirectory(dir=name) as inner:
                 more, stages = measured(recording, Path(inner))
-                names = list(pd.read_parquet(Path(inner) / "run" / "timings.parquet")["stage"].unique())
+                names = list(
+                    pd.read_parquet(Path(inner) / "run" / "timings.parquet")["stage"].unique()
+                )
             rows += more
             stage_rows.append(stages)
     load = f"{before:.1f} before, {os.getloadavg()[0]:.1f} after, of which this is 1"
-    head = ("recording", "what", "frames", "wall, s", "frames/s", "frames/s in the stages", "peak memory, MiB")
+    head = (
+        "recording",
+        "what",
+        "frames",
+        "wall, s",
+        "frames/s",
+        "frames/s in the stages",
+        "peak memory, MiB",
+    )
     parts = [
         '## Rate and memory\n\nWall time of a process of its own, start included. "In the stages": the frames by the sum of '
         "the stages' times (the decoding itself in the first rows), without start, scan, tables and review. Load of "
-        f"the machine while measuring (1-minute average of {os.cpu_count()} cores): {load}.\n\n" + result.table(head, rows),
+        f"the machine while measuring (1-minute average of {os.cpu_count()} cores): {load}.\n\n"
+        + result.table(head, rows),
         "## Time per stage\n\nms, median / p95, from timings.parquet.\n\n"
         + result.table(["recording", *names, "all"], stage_rows),
     ]

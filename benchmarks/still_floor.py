@@ -22,7 +22,9 @@ def apparent_speed(trial: Trial, centre: Array, radius: float) -> tuple[float, f
         if frame.T_base_camera is None:
             continue
         v, u = np.nonzero(frame.depth)
-        seen = frame.camera.backproject(u.astype(float), v.astype(float), frame.depth[v, u].astype(float))
+        seen = frame.camera.backproject(
+            u.astype(float), v.astype(float), frame.depth[v, u].astype(float)
+        )
         clouds.append(transform(frame.T_base_camera, seen))
         times.append(frame.t_ns * 1e-9)
     middle = len(clouds) // 2
@@ -38,7 +40,9 @@ def apparent_speed(trial: Trial, centre: Array, radius: float) -> tuple[float, f
     if good.sum() < 3:
         return float("nan"), float("nan")
     slope = np.polyfit(np.array(times)[good] - times[0], places[good], 1)[0]
-    return float(np.linalg.norm(slope) * 1e3), float(np.linalg.norm(places[good], axis=1).max() * 1e3)
+    return float(np.linalg.norm(slope) * 1e3), float(
+        np.linalg.norm(places[good], axis=1).max() * 1e3
+    )
 
 
 def _table(cloud: Array, centre: Array) -> tuple[Array, float]:

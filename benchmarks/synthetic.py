@@ -44,7 +44,10 @@ def look_at(eye: Array, at: Array, roll: float) -> Array:
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
     T = np.eye(4)
-    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1) @ increment(np.array([0, 0, 0, 0, 0, roll]))[:3, :3]
+    T[:3, :3] = (
+        np.stack([x, np.cross(z, x), z], axis=1)
+        @ increment(np.array([0, 0, 0, 0, 0, roll]))[:3, :3]
+    )
     T[:3, 3] = eye
     return T
 
@@ -55,11 +58,19 @@ def camera_pose(t: float, phase: Array, distance: float) -> Array:
     elevation = 0.75 + 0.15 * np.sin(1.1 * t + phase[1])
     d = distance + 0.12 * np.sin(0.9 * t + phase[2])
     at = np.array([0.06 * np.sin(1.7 * t + phase[3]), 0.05 * np.sin(1.3 * t + phase[4]), 0.03])
-    ray = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    ray = np.array(
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+        ]
+    )
     return look_at(at + d * ray, at, 0.1 * np.sin(2 * t + phase[5]))
 
 
-def write(out: Path, n: int = 99, speed: float = 0.0, seed: int = 1, distance: float = 0.75) -> Truth:
+def write(
+    out: Path, n: int = 99, speed: float = 0.0, seed: int = 1, distance: float = 0.75
+) -> Truth:
     """Write the recording. With a speed m/s the box slides over the table along y, stop and go (benchmarks.motion)."""
     rng = np.random.default_rng(seed)
     table = speckle(rng, (150, 115, 80), 25)
@@ -74,30 +85,44 @@ def write(out: Path, n: int = 99, speed: float = 0.0, seed: int = 1, distance: f
             t, t_ns = k / 30, START_NS + round(k / 30 * 1e9)
             T_object = increment(np.array([0, speed * steps(t) - middle, HALF[2], 0, 0, 0.6]))
             T_camera = camera_pose(t, phase, distance)
-            colour, depth, ids = render(Scene(table, 1.2, [(box, T_object), (block, T_block)]), CAMERA, T_camera)
+            colour, depth, ids = render(
+                Scene(table, 1.2, [(box, T_object), (block, T_block)]), CAMERA, T_camera
+            )
             v, u = np.nonzero(ids == 0)
-            truth.boxes.append((float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)))
+            truth.boxes.append(
+                (float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1))
+            )
             truth.T_world_camera.append(T_camera)
             truth.T_world_object.append(T_object)
             colour, millimetres = add_noise(rng, colour, depth)
             moved = transform_message(t_ns, "world", FRAME, pose_from_matrix(T_camera))
             writer.write("/tf", t_ns, message("tf2_msgs/TFMessage", transforms=[moved]))
-            writer.write("/camera/color/camera_info", t_ns, camera_info_message(t_ns, FRAME, CAMERA))
-            writer.write("/camera/color/image_raw/compressed", t_ns, jpeg_message(t_ns, FRAME, colour, 95))
+            writer.write(
+                "/camera/color/camera_info", t_ns, camera_info_message(t_ns, FRAME, CAMERA)
+            )
+            writer.write(
+                "/camera/color/image_raw/compressed", t_ns, jpeg_message(t_ns, FRAME, colour, 95)
+            )
             depth_topic = "/camera/aligned_depth_to_color/image_raw"
             writer.write(depth_topic, t_ns, raw_depth_message(t_ns, FRAME, millimetres))
     return truth
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("out", type=Path)
     parser.add_argument("--frames", type=int, default=99)
-    parser.add_argument("--speed", type=float, default=0.0, help="m/s, stop and go along the table's y")
+    parser.add_argument(
+        "--speed", type=float, default=0.0, help="m/s, stop and go along the table's y"
+    )
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     truth = write(args.out, args.frames, args.speed, args.seed)
-    print(f"{args.out}: {args.frames} frames; box in the first: {','.join(f'{v:.0f}' for v in truth.boxes[0])}")
+    print(
+        f"{args.out}: {args.frames} frames; box in the first: {','.join(f'{v:.0f}' for v in truth.boxes[0])}"
+    )
 
 
 if __name__ == "__main__":

@@ -53,7 +53,9 @@ def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
             truth[message.log_ns] = matrix_from_pose(poses_of(value)[0].pose)
     assert spec.start_ns is None or spec.start_ns >= 0
     start = min(truth)
-    close = verdict["t_close_s"] if verdict["t_close_s"] is not None else (max(truth) - start) * 1e-9
+    close = (
+        verdict["t_close_s"] if verdict["t_close_s"] is not None else (max(truth) - start) * 1e-9
+    )
     gaps = [a for a, b in pairwise(masks) if b - a > 250_000_000] or masks[-1:] or [start]
     sight = min((gaps[0] - start) * 1e-9, close)
     frames = pd.read_parquet(run / "frames" / f"{file_name(spec.id)}.parquet")
@@ -103,19 +105,48 @@ def main() -> None:
         found = errors_against_truth(spec, run)
         closes.append(found.assign(trial=spec.id))
         seen = found[found["accepted"] & (found["t_s"] > 1.0) & (found["t_s"] < found["t_sight_s"])]
-        rows.append({"object": spec.object, "speed": spec.speed, "n": len(seen), **seen.median(numeric_only=True).to_dict()})
+        rows.append(
+            {
+                "object": spec.object,
+                "speed": spec.speed,
+                "n": len(seen),
+                **seen.median(numeric_only=True).to_dict(),
+            }
+        )
     everything = pd.DataFrame(rows)
     lines = []
     for by in ("object", "speed"):
         cells = [
-            [str(name), str(len(g)), str(int(g["n"].sum())), *(number(g[c].median() * s) for c, s in MEASURES), worst(g)]
+            [
+                str(name),
+                str(len(g)),
+                str(int(g["n"].sum())),
+                *(number(g[c].median() * s) for c, s in MEASURES),
+                worst(g),
+            ]
             for name, g in everything.groupby(by)
         ]
-        head = [by, "trials", "frames", "position mm", "angle deg", "velocity mm/s", "worst trial, mm"]
-        lines += [f"By {by}, medians over trials of each trial's median while in sight, after 1 s:", table(head, cells)]
+        head = [
+            by,
+            "trials",
+            "frames",
+            "position mm",
+            "angle deg",
+            "velocity mm/s",
+            "worst trial, mm",
+        ]
+        lines += [
+            f"By {by}, medians over trials of each trial's median while in sight, after 1 s:",
+            table(head, cells),
+        ]
     command = f"python -m benchmarks.truth RUN {manifest.name}"
     write("truth", "Replay of simulated recordings against the truth", command, lines)
-    write("gap", "Causal pass and hindsight through the close", command, through_the_close(pd.concat(closes), run))
+    write(
+        "gap",
+        "Causal pass and hindsight through the close",
+        command,
+        through_the_close(pd.concat(closes), run),
+    )
 
 
 def through_the_close(frames: pd.DataFrame, run: Path) -> list[str]:
@@ -129,7 +160,9 @@ def through_the_close(frames: pd.DataFrame, run: Path) -> list[str]:
         both = [part["position_m"] * 1e3, part["hindsight_m"] * 1e3]
         seen = f"{part['accepted'].mean():.0%}" if len(part) else "–"
         cells.append([f"{a:+.2f} to {b:+.2f}", str(len(part)), seen])
-        quantiles = [float(v.quantile(q)) if v.notna().any() else np.nan for v in both for q in (0.5, 0.9)]
+        quantiles = [
+            float(v.quantile(q)) if v.notna().any() else np.nan for v in both for q in (0.5, 0.9)
+        ]
         cells[-1] += [number(v) for v in quantiles]
         drawn.append(((a + b) / 2, *quantiles))
     gaps = trials[trials["t_close_ns"].notna()]

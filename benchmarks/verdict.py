@@ -36,7 +36,15 @@ from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import Prover, prove
 from dgeval.simulation.world import World, matrix_of, twin_path
 from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
-from dgeval.verdict.beliefs import BEFORE_PUSH_NS, DRIFT_NS, Beliefs, carried, gains_of, growth, steady
+from dgeval.verdict.beliefs import (
+    BEFORE_PUSH_NS,
+    DRIFT_NS,
+    Beliefs,
+    carried,
+    gains_of,
+    growth,
+    steady,
+)
 from dgeval.verdict.blame import blame_of
 from dgeval.verdict.decide import CLASSES, Cause, cause_of
 from dgeval.verdict.evidence import APPROACH_S, CLOSING, PERIOD_NS, HandMotion, Scene, of_hand
@@ -93,9 +101,19 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     rng = generator(seed, "modelled hindsight", run.plan.index)
     plan = run.plan
     end = run.close if run.close is not None else len(run.ticks) - 1
-    path = twin_path(world.thing, plan.speed, plan.x, plan.y, plan.yaw, len(run.ticks) * CONTROL_S + 1, world.setting)
+    path = twin_path(
+        world.thing,
+        plan.speed,
+        plan.x,
+        plan.y,
+        plan.yaw,
+        len(run.ticks) * CONTROL_S + 1,
+        world.setting,
+    )
     held = world.presenter is not None
-    flat = np.array([1.0, 1.0, float(held)])  # of what stands, motion and places are known to be level
+    flat = np.array(
+        [1.0, 1.0, float(held)]
+    )  # of what stands, motion and places are known to be level
     drives = world.gripper.drives
     fingers = np.array([world.model.joint(name).qposadr[0] for name in drives])
     begin = max(0, end - round(APPROACH_S / CONTROL_S))
@@ -105,7 +123,9 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     for k in range(begin, end + 1):
         world.restore(run.ticks[k].snapshot)
         hands.append(world.T_base_hand())
-        through.append(hands[-1] @ wrong_camera @ invert(hands[-1]))  # where things are -> where they are seen
+        through.append(
+            hands[-1] @ wrong_camera @ invert(hands[-1])
+        )  # where things are -> where they are seen
         joints.append(world.data.qpos[fingers] + rng.normal(0, JOINT_NOISE, len(drives)))
         objects.append(world.T_base_object())
     # what the object stands on is seen through the same camera: in its frame it is the hand that is elsewhere
@@ -128,10 +148,17 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     turn = np.radians(rng.normal(0, TURN_DEG))
     R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     points = surface_points(world.thing, 1500, rng) @ (R @ T_end[:3, :3]).T + T_end[:3, 3]
-    points = points[points[:, 2] > (T_end[2, 3] - world.thing.extent()[2] / 2 + HIDDEN_M if held else 0.006)]
+    points = points[
+        points[:, 2] > (T_end[2, 3] - world.thing.extent()[2] / 2 + HIDDEN_M if held else 0.006)
+    ]
     points = points + rng.normal(0, CLOUD_M, points.shape)
     points += place + drift
-    places = np.array([(T @ np.append(p, 1.0))[:3] for T, p in zip(through, path[begin : end + 1, :3], strict=True)])
+    places = np.array(
+        [
+            (T @ np.append(p, 1.0))[:3]
+            for T, p in zip(through, path[begin : end + 1, :3], strict=True)
+        ]
+    )
     free = (places - T_end[:3, 3]) * flat
     free[: last - begin + 1] -= drift
     free[last - begin + 1 :] += wrong * (np.arange(last + 1, end + 1)[:, None] - end) * CONTROL_S
@@ -148,7 +175,9 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     )  # fmt: skip
     gap = (end - last) * CONTROL_S
     T_base_palm = np.array(hands) @ world.gripper.T_hand_palm
-    believed = beliefs(run, T_base_palm, objects, T_true_seen, T_end, begin, velocity, place, drift, rng)
+    believed = beliefs(
+        run, T_base_palm, objects, T_true_seen, T_end, begin, velocity, place, drift, rng
+    )
     return Scene(
         motion, points, free, velocity, float(np.hypot(PLACE_M, VELOCITY * gap)), TURN_DEG,
         None if run.close is None else end - begin, seen, world.gripper, believed, held,
@@ -177,7 +206,12 @@ def beliefs(
     before = [f for f in run.frames if begin <= f.tick <= at]
     grasps = [(f.tick, T) for f in before if (T := run.ticks[f.tick].T_base_grasp) is not None]
     if run.close is None and grasps:
-        at = min(grasps, key=lambda g: float(np.linalg.norm(T_base_palm[g[0] - begin, :3, 3] - (T_true_seen @ g[1])[:3, 3])))[0]
+        at = min(
+            grasps,
+            key=lambda g: float(
+                np.linalg.norm(T_base_palm[g[0] - begin, :3, 3] - (T_true_seen @ g[1])[:3, 3])
+            ),
+        )[0]
         before, grasps = [f for f in before if f.tick <= at], [g for g in grasps if g[0] <= at]
     own = [f for f in before if f.accepted and f.T_base_object is not None]
     if not own or not grasps or own[-1].velocity is None:
@@ -189,22 +223,37 @@ def beliefs(
     off = []
     for f in recent:
         assert f.T_base_object is not None
-        off.append((T_true_seen @ f.T_base_object)[:3, 3] - seen[f.tick - begin][:3, 3] - place + rng.normal(0, SIGHTING_M, 3))
+        off.append(
+            (T_true_seen @ f.T_base_object)[:3, 3]
+            - seen[f.tick - begin][:3, 3]
+            - place
+            + rng.normal(0, SIGHTING_M, 3)
+        )
     drift = growth([f.tick * PERIOD_NS for f in recent], off)
     gain = None if run.close is not None else ServoConfig().c_p_v
-    errors = {"servo": T_base_palm[at - begin, :3, 3] - grasp[:3, 3] - believed * (at - tick) * CONTROL_S}
-    touched = next((k for k in range(begin, at) if run.ticks[k].contact), at + BEFORE_PUSH_NS // PERIOD_NS)
+    errors = {
+        "servo": T_base_palm[at - begin, :3, 3] - grasp[:3, 3] - believed * (at - tick) * CONTROL_S
+    }
+    touched = next(
+        (k for k in range(begin, at) if run.ticks[k].contact), at + BEFORE_PUSH_NS // PERIOD_NS
+    )
     until = min(at, touched - BEFORE_PUSH_NS // PERIOD_NS)
     velocities = [(f.tick * PERIOD_NS, f.velocity) for f in before if f.velocity is not None]
     free = [believed] if run.close is not None else steady(velocities, until * PERIOD_NS)
     if free:
-        errors |= carried(off[-1], drift, free[-1] - velocity, (at - own[-1].tick) * CONTROL_S, gain)
+        errors |= carried(
+            off[-1], drift, free[-1] - velocity, (at - own[-1].tick) * CONTROL_S, gain
+        )
     else:
         errors["tracking"] = off[-1]
     goal = T_end @ invert(seen[tick - begin]) @ grasp
     goal[:3, 3] += carried_off
-    way = [(T_true_seen @ T)[:3, 3] - T_base_palm[k - begin, :3, 3] for k, T in grasps if k <= until]
-    gains = gains_of(way, [run.ticks[k].twist[:3] - run.ticks[k].velocity for k, _ in grasps if k <= until])
+    way = [
+        (T_true_seen @ T)[:3, 3] - T_base_palm[k - begin, :3, 3] for k, T in grasps if k <= until
+    ]
+    gains = gains_of(
+        way, [run.ticks[k].twist[:3] - run.ticks[k].velocity for k, _ in grasps if k <= until]
+    )
     return Beliefs(errors, goal, gains)
 
 
@@ -214,7 +263,9 @@ def outcome(run: Run, world: World, seed: int) -> str:
         return "failure"
     jaws = world.gripper is JAW
     names = JAW.joints if jaws else [n for n in ACTUATED if not n.endswith("_0")]
-    at = np.array([world.model.joint(n).qposadr[0] if jaws else world.model.joint(n).dofadr[0] for n in names])
+    at = np.array(
+        [world.model.joint(n).qposadr[0] if jaws else world.model.joint(n).dofadr[0] for n in names]
+    )
     rng = generator(seed, "efforts", run.plan.index)
     rows = []
     for tick in run.ticks[-round(LAST_S / CONTROL_S) :]:
@@ -228,12 +279,17 @@ def causal_guess(run: Run, world: World) -> str:
     """Thresholds on what the causal pass alone believes: it never fired, the object jumped, the hand was away."""
     if run.close is None:
         return "timing"
-    seen = [f for f in run.frames if f.accepted and f.tick <= run.close and f.T_base_object is not None]
+    seen = [
+        f for f in run.frames if f.accepted and f.tick <= run.close and f.T_base_object is not None
+    ]
     for a, b in pairwise(seen):
         assert a.T_base_object is not None
         assert b.T_base_object is not None
         moved = b.T_base_object[:3, 3] - a.T_base_object[:3, 3]
-        if a.velocity is not None and np.linalg.norm(moved - a.velocity * (b.tick - a.tick) * CONTROL_S) > JUMP_M:
+        if (
+            a.velocity is not None
+            and np.linalg.norm(moved - a.velocity * (b.tick - a.tick) * CONTROL_S) > JUMP_M
+        ):
             return "collision"
     world.restore(run.ticks[run.close].snapshot)
     grasp = run.ticks[run.close].T_base_grasp
@@ -265,7 +321,9 @@ def judge(job: Job) -> dict[str, Any]:
     scenario = load_scenario(job.scenario).model_copy(update={"choose": None})
     if job.unrefined:
         vfas = scenario.pipeline.vfas.model_copy(update={"refine": False})
-        scenario = scenario.model_copy(update={"pipeline": scenario.pipeline.model_copy(update={"vfas": vfas})})
+        scenario = scenario.model_copy(
+            update={"pipeline": scenario.pipeline.model_copy(update={"vfas": vfas})}
+        )
     campaign = Campaign(scenario, job.seed, 1, Path("unused"))
     plan = plan_of(campaign, job.index)
     about = VARIANTS[job.variant]
@@ -294,7 +352,11 @@ def judge(job: Job) -> dict[str, Any]:
         if metres.max() <= th.moved_m and degrees.max() <= th.moved_deg:
             return out
     truth = prove(
-        run, world, Thresholds(th.moved_m * scale, th.moved_deg * scale, th.overlap_m * scale, 2, th.unstable_m * scale)
+        run,
+        world,
+        Thresholds(
+            th.moved_m * scale, th.moved_deg * scale, th.overlap_m * scale, 2, th.unstable_m * scale
+        ),
     )
     out.update(
         truth=truth.failure_class, sub=truth.sub_cause, shift_s=truth.shift_s, near=list(truth.near), curve=truth.curve,
@@ -329,16 +391,29 @@ def blame_table(rows: list[dict[str, Any]], method: str) -> str:
     known = [r for r in rows if r.get("blame") and r["blame"]["fault"] in PART_OF]
     terms = [*dict.fromkeys(PART_OF.values()), "unknown"]
     faults = [f for f in PART_OF if any(r["blame"]["fault"] == f for r in known)]
-    lines = ["| fault \\ blamed | " + " | ".join(terms) + " | right |", "|---|" + "---|" * (len(terms) + 1)]
+    lines = [
+        "| fault \\ blamed | " + " | ".join(terms) + " | right |",
+        "|---|" + "---|" * (len(terms) + 1),
+    ]
     for fault in faults:
         said = [r[method]["blame"] for r in known if r["blame"]["fault"] == fault]
         right = said.count(PART_OF[fault])
-        lines.append(f"| {fault} | " + " | ".join(str(said.count(t)) for t in terms) + f" | {right}/{len(said)} |")
+        lines.append(
+            f"| {fault} | "
+            + " | ".join(str(said.count(t)) for t in terms)
+            + f" | {right}/{len(said)} |"
+        )
     named = [r for r in known if r[method]["blame"] != "unknown"]
     right = sum(r[method]["blame"] == PART_OF[r["blame"]["fault"]] for r in named)
     share = wilson(right, len(named))
     about = f"{len(known)} failures with one such fault; a part is named in {len(named)}, rightly in {right}"
-    return "\n".join([*lines, "", f"{about} ({right / max(len(named), 1):.0%}) [{share[0]:.0%}, {share[1]:.0%}]."])
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"{about} ({right / max(len(named), 1):.0%}) [{share[0]:.0%}, {share[1]:.0%}].",
+        ]
+    )
 
 
 def scores(rows: list[dict[str, Any]], said: list[str]) -> str:
@@ -353,7 +428,9 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
     """Markdown of one variant: outcome, classes with baselines and parts, confusion, calibration, sub-cause."""
     ended = sum(r["outcome_said"] == r["outcome"] for r in rows)
     low, high = wilson(ended, len(rows))
-    lines = [f"Outcome without labels: {ended} of {len(rows)} right ({ended / len(rows):.1%}) [{low:.1%}, {high:.1%}]"]
+    lines = [
+        f"Outcome without labels: {ended} of {len(rows)} right ({ended / len(rows):.1%}) [{low:.1%}, {high:.1%}]"
+    ]
     failed = [r for r in rows if "truth" in r]
     head = ["| instrument | failures | right | unknown | macro-F1 |", "|---|---|---|---|---|"]
     lines += ["", *head]
@@ -365,14 +442,23 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
         }
         wrong_camera = [r for r in failed if "hand_eye" in r["present"]]
         if wrong_camera:
-            parts |= {", hand-eye as calibrated": [r for r in failed if r not in wrong_camera], ", hand-eye off": wrong_camera}
-        parts |= {f", gap {s}": [r for r in failed if r["gap_sided"] == s] for s in ("none", "one", "two")}
+            parts |= {
+                ", hand-eye as calibrated": [r for r in failed if r not in wrong_camera],
+                ", hand-eye off": wrong_camera,
+            }
+        parts |= {
+            f", gap {s}": [r for r in failed if r["gap_sided"] == s] for s in ("none", "one", "two")
+        }
         for name, part in parts.items():
             if part:
-                lines.append(f"| {method}{name} | {scores(part, [r[method]['class'] for r in part])} |")
+                lines.append(
+                    f"| {method}{name} | {scores(part, [r[method]['class'] for r in part])} |"
+                )
     majority = max(CLASSES, key=[r["truth"] for r in failed].count)
     lines.append(f"| always {majority} | {scores(failed, [majority] * len(failed))} |")
-    lines.append(f"| thresholds on the causal pass | {scores(failed, [r['causal'] for r in failed])} |")
+    lines.append(
+        f"| thresholds on the causal pass | {scores(failed, [r['causal'] for r in failed])} |"
+    )
     for method in methods:
         said = [r[method]["class"] for r in failed]
         matrix = confusion([r["truth"] for r in failed], said, [*CLASSES, "unknown"])[:3]
@@ -383,7 +469,10 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
             "| truth \\ said | " + " | ".join([*CLASSES, "unknown"]) + " |",
             "|---|---|---|---|---|",
         ]
-        lines += [f"| {c} | " + " | ".join(str(v) for v in row) + " |" for c, row in zip(CLASSES, matrix.tolist(), strict=True)]
+        lines += [
+            f"| {c} | " + " | ".join(str(v) for v in row) + " |"
+            for c, row in zip(CLASSES, matrix.tolist(), strict=True)
+        ]
         answered = [r for r in failed if r[method]["class"] != "unknown"]
         hits = [r for r in answered if r[method]["class"] == r["truth"]]
         p = np.array([max(r[method]["p"][:3]) for r in answered])
@@ -394,18 +483,31 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
             f"Answered: {len(answered)}, right {len(hits) / max(len(answered), 1):.0%}, stated {p.mean():.0%}, ECE {error:.3f}"
         ]
         about += [f"of the right ones the sub-cause is right in {same} of {len(hits)}"]
-        if timed := [abs(r[method]["shift_s"] - r["shift_s"]) for r in hits if r["truth"] == "timing"]:
-            about += [f"the close time is off by a median of {np.median(timed):.2f} s (90 %: {np.quantile(timed, 0.9):.2f} s)"]
+        if timed := [
+            abs(r[method]["shift_s"] - r["shift_s"]) for r in hits if r["truth"] == "timing"
+        ]:
+            about += [
+                f"the close time is off by a median of {np.median(timed):.2f} s (90 %: {np.quantile(timed, 0.9):.2f} s)"
+            ]
         if any(r.get("blame") for r in failed):
             lines += ["", blame_table(failed, method)]
-        lines += ["", "; ".join([*about, f"CPU time {seconds[0]:.1f} s (95 %: {seconds[1]:.1f} s)."])]
+        lines += [
+            "",
+            "; ".join([*about, f"CPU time {seconds[0]:.1f} s (95 %: {seconds[1]:.1f} s)."]),
+        ]
     return "\n".join(lines)
 
 
 def beside_the_paper(rows: list[dict[str, Any]], method: str, paper: dict[str, Any]) -> str:
     """Success by speed and object, and the failures' shares by truth and by verdict, of a scenario that a paper has too."""
     ended = [
-        {"verdict": {"failure_class": r.get("truth") or (None if r["outcome"] == "success" else "not begun"), **r}}
+        {
+            "verdict": {
+                "failure_class": r.get("truth")
+                or (None if r["outcome"] == "success" else "not begun"),
+                **r,
+            }
+        }
         for r in rows
     ]
     failed = [r for r in rows if "truth" in r]
@@ -428,24 +530,63 @@ def beside_the_paper(rows: list[dict[str, Any]], method: str, paper: dict[str, A
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--scenario", default="failures")
-    parser.add_argument("--seed", type=int, default=3000, help="no other part of the project uses the default's trials")
-    parser.add_argument("--trials", type=int, default=320, help="simulated trials; the failures among them are judged")
-    parser.add_argument("--first", type=int, default=0, help="index of the first; rows are added to those of an earlier run")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=3000,
+        help="no other part of the project uses the default's trials",
+    )
+    parser.add_argument(
+        "--trials",
+        type=int,
+        default=320,
+        help="simulated trials; the failures among them are judged",
+    )
+    parser.add_argument(
+        "--first",
+        type=int,
+        default=0,
+        help="index of the first; rows are added to those of an earlier run",
+    )
     parser.add_argument("--draws", type=int, default=VerdictConfig().draws)
     parser.add_argument("--variant", action="append", choices=list(VARIANTS))
     parser.add_argument("--method", action="append", choices=["twin", "geometry"])
-    parser.add_argument("--blame", type=int, default=0, help="of so many first trials also find and score the fault to blame")
-    parser.add_argument("--unrefined", action="store_true", help="VFAS-Grasp's scenarios with the seed executed as it is")
-    parser.add_argument("--pushed", action="store_true", help="only failures in which the object was pushed before the close")
+    parser.add_argument(
+        "--blame",
+        type=int,
+        default=0,
+        help="of so many first trials also find and score the fault to blame",
+    )
+    parser.add_argument(
+        "--unrefined",
+        action="store_true",
+        help="VFAS-Grasp's scenarios with the seed executed as it is",
+    )
+    parser.add_argument(
+        "--pushed",
+        action="store_true",
+        help="only failures in which the object was pushed before the close",
+    )
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--tables", action="store_true", help="only print the tables of an earlier run's rows again")
-    parser.add_argument("--out", type=Path, default=RESULTS / "verdict.md", help="with a .jsonl of all rows beside it")
+    parser.add_argument(
+        "--tables", action="store_true", help="only print the tables of an earlier run's rows again"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=RESULTS / "verdict.md",
+        help="with a .jsonl of all rows beside it",
+    )
     options = parser.parse_args()
     methods = tuple(options.method or ["twin", "geometry"])
     kept = options.out.with_suffix(".jsonl")
-    rows: list[dict[str, Any]] = [json.loads(line) for line in kept.read_text().splitlines()] if options.tables else []
+    rows: list[dict[str, Any]] = (
+        [json.loads(line) for line in kept.read_text().splitlines()] if options.tables else []
+    )
     methods = tuple(m for m in methods if not rows or any(m in r for r in rows))
     if not options.tables:
         jobs = [
@@ -465,7 +606,10 @@ def main() -> None:
         ]
         if options.first:
             rows += [json.loads(line) for line in kept.read_text().splitlines()]
-        with ProcessPoolExecutor(options.jobs) as pool, kept.open("a" if options.first else "w") as file:
+        with (
+            ProcessPoolExecutor(options.jobs) as pool,
+            kept.open("a" if options.first else "w") as file,
+        ):
             for row in pool.map(judge, jobs):
                 rows.append(row)
                 file.write(json.dumps(row) + "\n")
@@ -474,13 +618,21 @@ def main() -> None:
     parts = [f"## {v}\n\n{tables([r for r in rows if r['variant'] == v], methods)}" for v in ran]
     scenario = rows[0].get("scenario", "failures")
     if scenario in PUBLISHED and "printed" in PUBLISHED[scenario]:
-        parts.append("## Beside the paper\n\n" + beside_the_paper(rows, methods[0], PUBLISHED[scenario]))
+        parts.append(
+            "## Beside the paper\n\n" + beside_the_paper(rows, methods[0], PUBLISHED[scenario])
+        )
     command = f"python -m benchmarks.verdict --scenario {scenario} --seed {rows[0]['seed']}"
     command += f" --trials {len(rows) // len(ran)} --draws {options.draws}"
-    command += (f" --blame {options.blame}" if options.blame else "") + (" --unrefined" if options.unrefined else "")
+    command += (f" --blame {options.blame}" if options.blame else "") + (
+        " --unrefined" if options.unrefined else ""
+    )
     command += " --pushed" if options.pushed else ""
     title = "Verdicts on simulated failures that set nothing"
-    print(write(options.out.stem, title, command, parts, options.out.parent).read_text(encoding="utf-8"))
+    print(
+        write(options.out.stem, title, command, parts, options.out.parent).read_text(
+            encoding="utf-8"
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -58,7 +58,9 @@ def scenario_of(name: str, changes: dict[str, Any]) -> Scenario:
     """A scenario with other values in its `vfas` section."""
     scenario = load_scenario(name)
     vfas = scenario.pipeline.vfas.model_copy(update=changes)
-    return scenario.model_copy(update={"pipeline": scenario.pipeline.model_copy(update={"vfas": vfas})})
+    return scenario.model_copy(
+        update={"pipeline": scenario.pipeline.model_copy(update={"vfas": vfas})}
+    )
 
 
 def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
@@ -74,7 +76,15 @@ def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
             return found
     run, _ = simulate(campaign, plan)
     held = run.finish is not None and run.finish.success
-    ended = "held" if held else "no seed in reach" if len(run.ticks) < 2 else "never closed" if run.close is None else "lost"
+    ended = (
+        "held"
+        if held
+        else "no seed in reach"
+        if len(run.ticks) < 2
+        else "never closed"
+        if run.close is None
+        else "lost"
+    )
     metres, degrees = jumps(seed_pairs(run))
     result = {
         "id": plan.id,
@@ -138,7 +148,9 @@ def paired(results: dict[str, list[dict[str, Any]]], before: str, after: str) ->
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--trials", type=int, help="of each arm; default: the paper's number")
@@ -171,10 +183,15 @@ def main() -> None:
             ]
             for arm, found in of.items()
         ]
-        parts += ["How they ended, and the median jump of the seed:", table(["", *ENDS, "jump mm", "jump deg"], rows)]
+        parts += [
+            "How they ended, and the median jump of the seed:",
+            table(["", *ENDS, "jump mm", "jump deg"], rows),
+        ]
         command = f"python -m benchmarks.vfas --only {kind} --seed {options.seed}"
         command += f" --trials {options.trials}" if options.trials else ""
-        print(write(f"vfas-{kind}", f"VFAS-Grasp in closed loop: {kind}", command, parts).read_text())
+        print(
+            write(f"vfas-{kind}", f"VFAS-Grasp in closed loop: {kind}", command, parts).read_text()
+        )
 
 
 if __name__ == "__main__":

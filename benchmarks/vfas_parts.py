@@ -78,8 +78,13 @@ def spread_against_robustness(per_object: int) -> str:
                 T_object_seed = seed_pose(surface, rng)
                 if tried == per_object or T_object_seed is None:
                     continue
-                T = perturbed((T_base_object @ T_object_seed)[None], np.full(3, 0.01), np.radians(5), rng)[0]
-                if not all(world.free_way(T)) or between_fingers(surface, invert(T) @ T_base_object) < 4:
+                T = perturbed(
+                    (T_base_object @ T_object_seed)[None], np.full(3, 0.01), np.radians(5), rng
+                )[0]
+                if (
+                    not all(world.free_way(T))
+                    or between_fingers(surface, invert(T) @ T_base_object) < 4
+                ):
                     continue
                 tried += 1
                 points, grazing, _ = view(world, eyes, T, rng)
@@ -88,7 +93,14 @@ def spread_against_robustness(per_object: int) -> str:
                 noisy = judge.quality(copies, np.eye(4)[None])
                 held = 0
                 for _ in range(REPETITIONS):
-                    world.put(T @ increment(np.concatenate([rng.normal(0, 0.004, 3), rng.normal(0, np.radians(3), 3)])))
+                    world.put(
+                        T
+                        @ increment(
+                            np.concatenate(
+                                [rng.normal(0, 0.004, 3), rng.normal(0, np.radians(3), 3)]
+                            )
+                        )
+                    )
                     held += not any(world.touches()) and world.lifts()
                 spread.append(float(np.ptp(noisy)))
                 quality.append(float(noisy.mean()))
@@ -107,9 +119,15 @@ def spread_against_robustness(per_object: int) -> str:
 def times() -> str:
     rows = []
     rng = np.random.default_rng(0)
-    for name, sizes, n in (("shipped", VFAS, 104), ("shipped", VFAS, 320), ("public size", PUBLIC, 32)):
+    for name, sizes, n in (
+        ("shipped", VFAS, 104),
+        ("shipped", VFAS, 320),
+        ("public size", PUBLIC, 32),
+    ):
         network = evaluator_of(None) if sizes is VFAS else GraspEvaluator(sizes).eval()
-        scene = torch.from_numpy((rng.uniform(-1, 1, (n, sizes.scene, 3)) * [0.1, 0.05, 0.06]).astype(np.float32))
+        scene = torch.from_numpy(
+            (rng.uniform(-1, 1, (n, sizes.scene, 3)) * [0.1, 0.05, 0.06]).astype(np.float32)
+        )
         gripper = torch.from_numpy(link_points(sizes.gripper, rng).astype(np.float32))[None]
         network.success(scene, gripper)
         taken = []
@@ -118,7 +136,14 @@ def times() -> str:
             network.success(scene, gripper)
             taken.append(time.perf_counter() - start)
         what = {104: "64 + 8 x 5 (`top8`)", 320: "64 x 5 (`all`)", 32: "32"}[n]
-        rows.append([name, what, number(1e3 * float(np.median(taken)), 0), number(1 / float(np.median(taken)), 1)])
+        rows.append(
+            [
+                name,
+                what,
+                number(1e3 * float(np.median(taken)), 0),
+                number(1 / float(np.median(taken)), 1),
+            ]
+        )
     return table(["network", "grasps", "ms, one core", "per second"], rows)
 
 
@@ -131,21 +156,32 @@ def left_out(trials: int) -> str:
             held, metres, degrees = 0, [], []
             for k in range(trials):
                 campaign = Campaign(changed, 1, 1, Path("unused"))
-                run, _ = simulate(campaign, plan_of(campaign, k + (8 if name == "turntable" else 0)))
+                run, _ = simulate(
+                    campaign, plan_of(campaign, k + (8 if name == "turntable" else 0))
+                )
                 held += run.finish is not None and run.finish.success
                 each = [jumps([pair]) for pair in seed_pairs(run)]
                 metres += [m for m, _ in each if m is not None]
                 degrees += [d for _, d in each if d is not None]
-            of = [np.median(metres), np.quantile(metres, 0.95), np.median(degrees), np.quantile(degrees, 0.95)]
+            of = [
+                np.median(metres),
+                np.quantile(metres, 0.95),
+                np.median(degrees),
+                np.quantile(degrees, 0.95),
+            ]
             rows.append([name, what, *(number(float(v), 2) for v in of), f"{held}/{trials}"])
             print(rows[-1], flush=True)
     return table(["", "", "jump mm", "95 %", "jump deg", "95 %", "held"], rows)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=6, help="views per object, each with 24 poses")
-    parser.add_argument("--trials", type=int, default=4, help="of each scenario with each part left out")
+    parser.add_argument(
+        "--trials", type=int, default=4, help="of each scenario with each part left out"
+    )
     options = parser.parse_args()
     limit_threads()
     parts = [

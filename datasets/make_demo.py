@@ -40,7 +40,11 @@ CAMERA = Intrinsics(320, 240, 290.0, 290.0, 160.0, 120.0)
 CAMERA_FRAME = "camera_color_optical_frame"
 MINIMUM_RANGE = 0.17
 DEPTH_TOPIC = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
-FINGERS = {"thumb": (0.05, 0.0, np.pi), "index": (-0.05, 0.022, 0.0), "middle": (-0.05, -0.022, 0.0)}
+FINGERS = {
+    "thumb": (0.05, 0.0, np.pi),
+    "index": (-0.05, 0.022, 0.0),
+    "middle": (-0.05, -0.022, 0.0),
+}
 PROXIMAL, DISTAL, RADIUS = 0.055, 0.045, 0.009
 
 
@@ -62,14 +66,21 @@ T_HAND_CAMERA = translation(0.0, -0.085, -0.02) @ rotation(-0.30, 0, 0)
 def urdf() -> str:
     """A gantry x y z with a turning wrist, a palm, and three fingers of two links; cylinders with round ends."""
 
-    def link(name: str, length: float | None = None, box: tuple[float, float, float] | None = None) -> str:
+    def link(
+        name: str, length: float | None = None, box: tuple[float, float, float] | None = None
+    ) -> str:
         shapes = []
         if length is not None:
-            shapes.append(("0 0 " + f"{length / 2}", f'<cylinder radius="{RADIUS}" length="{length}"/>'))
+            shapes.append(
+                ("0 0 " + f"{length / 2}", f'<cylinder radius="{RADIUS}" length="{length}"/>')
+            )
             shapes += [(f"0 0 {z}", f'<sphere radius="{RADIUS}"/>') for z in (0.0, length)]
         if box is not None:
             shapes.append(("0 0 -0.012", f'<box size="{box[0]} {box[1]} {box[2]}"/>'))
-        body = "".join(f'<collision><origin xyz="{o}" rpy="0 0 0"/><geometry>{g}</geometry></collision>' for o, g in shapes)
+        body = "".join(
+            f'<collision><origin xyz="{o}" rpy="0 0 0"/><geometry>{g}</geometry></collision>'
+            for o, g in shapes
+        )
         return f'<link name="{name}">{body}</link>'
 
     def joint(name: str, kind: str, parent: str, child: str, xyz: str, rpy: str, axis: str) -> str:
@@ -79,7 +90,10 @@ def urdf() -> str:
             f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{limit}</joint>'
         )
 
-    parts = [link(n) for n in ("base_link", "slide_x", "slide_y", "slide_z", "wrist", "palm_link", CAMERA_FRAME)]
+    parts = [
+        link(n)
+        for n in ("base_link", "slide_x", "slide_y", "slide_z", "wrist", "palm_link", CAMERA_FRAME)
+    ]
     parts.append(link("hand_base", box=(0.12, 0.07, 0.024)))
     for name, parent, child, axis in (
         ("x", "base_link", "slide_x", "1 0 0"),
@@ -88,16 +102,40 @@ def urdf() -> str:
     ):
         parts.append(joint(f"gantry_{name}", "prismatic", parent, child, "0 0 0", "0 0 0", axis))
     parts.append(joint("wrist_yaw", "revolute", "slide_z", "wrist", "0 0 0", "0 0 0", "0 0 1"))
-    parts.append(joint("hand_mount", "fixed", "wrist", "hand_base", "0 0 0", f"{np.pi} 0 0", "0 0 1"))
+    parts.append(
+        joint("hand_mount", "fixed", "wrist", "hand_base", "0 0 0", f"{np.pi} 0 0", "0 0 1")
+    )
     parts.append(joint("palm_mount", "fixed", "hand_base", "palm_link", "0 0 0", "0 0 0", "0 0 1"))
     x, y, z = T_HAND_CAMERA[:3, 3]
     r, p, w = Rotation.from_matrix(T_HAND_CAMERA[:3, :3]).as_euler("xyz")
-    parts.append(joint("hand_eye", "fixed", "hand_base", CAMERA_FRAME, f"{x} {y} {z}", f"{r} {p} {w}", "0 0 1"))
+    parts.append(
+        joint(
+            "hand_eye", "fixed", "hand_base", CAMERA_FRAME, f"{x} {y} {z}", f"{r} {p} {w}", "0 0 1"
+        )
+    )
     for finger, (fx, fy, yaw) in FINGERS.items():
         parts += [link(f"{finger}_proximal", PROXIMAL), link(f"{finger}_distal", DISTAL)]
-        parts.append(joint(f"{finger}_1", "revolute", "hand_base", f"{finger}_proximal", f"{fx} {fy} 0", f"0 0 {yaw}", "0 1 0"))
         parts.append(
-            joint(f"{finger}_2", "revolute", f"{finger}_proximal", f"{finger}_distal", f"0 0 {PROXIMAL}", "0 0 0", "0 1 0")
+            joint(
+                f"{finger}_1",
+                "revolute",
+                "hand_base",
+                f"{finger}_proximal",
+                f"{fx} {fy} 0",
+                f"0 0 {yaw}",
+                "0 1 0",
+            )
+        )
+        parts.append(
+            joint(
+                f"{finger}_2",
+                "revolute",
+                f"{finger}_proximal",
+                f"{finger}_distal",
+                f"0 0 {PROXIMAL}",
+                "0 0 0",
+                "0 1 0",
+            )
         )
     return f'<robot name="demo">{"".join(parts)}</robot>'
 
@@ -132,7 +170,11 @@ def joints(t: float) -> dict[str, float]:
 
 def hand_pose(q: dict[str, float]) -> Array:
     """T_base_hand."""
-    return translation(q["gantry_x"], q["gantry_y"], q["gantry_z"]) @ rotation(0, 0, q["wrist_yaw"]) @ rotation(np.pi, 0, 0)
+    return (
+        translation(q["gantry_x"], q["gantry_y"], q["gantry_z"])
+        @ rotation(0, 0, q["wrist_yaw"])
+        @ rotation(np.pi, 0, 0)
+    )
 
 
 def object_pose(t: float) -> Array:
@@ -150,9 +192,13 @@ def scene_at(t: float, scene: Scene, box: Box) -> Scene:
     solids: list[tuple[Box | Capsule, Array]] = [(box, object_pose(t))]
     for finger, (x, y, yaw) in FINGERS.items():
         T = T_hand @ translation(x, y, 0) @ rotation(0, 0, yaw) @ rotation(0, q[f"{finger}_1"], 0)
-        solids.append((Capsule(RADIUS, PROXIMAL / 2, (70, 72, 78)), T @ translation(0, 0, PROXIMAL / 2)))
+        solids.append(
+            (Capsule(RADIUS, PROXIMAL / 2, (70, 72, 78)), T @ translation(0, 0, PROXIMAL / 2))
+        )
         T = T @ translation(0, 0, PROXIMAL) @ rotation(0, q[f"{finger}_2"], 0)
-        solids.append((Capsule(RADIUS, DISTAL / 2, (105, 108, 115)), T @ translation(0, 0, DISTAL / 2)))
+        solids.append(
+            (Capsule(RADIUS, DISTAL / 2, (105, 108, 115)), T @ translation(0, 0, DISTAL / 2))
+        )
     return Scene(scene.table, scene.tile, solids)
 
 
@@ -170,10 +216,19 @@ def make(path: Path) -> None:
         return START_NS + round(t * 1e9)
 
     def stamped(t: float, T: Array) -> object:
-        return message("geometry_msgs/PoseStamped", header=header(at(t), "base_link"), pose=pose_message(pose_from_matrix(T)))
+        return message(
+            "geometry_msgs/PoseStamped",
+            header=header(at(t), "base_link"),
+            pose=pose_message(pose_from_matrix(T)),
+        )
 
     add(0, 0, "/robot_description", message("std_msgs/String", data=urdf()))
-    for t, event in ((0.0, "trial_start"), (T_CLOSE, "close"), (T_LIFT, "lift"), (DURATION - 0.05, "trial_end")):
+    for t, event in (
+        (0.0, "trial_start"),
+        (T_CLOSE, "close"),
+        (T_LIFT, "lift"),
+        (DURATION - 0.05, "trial_end"),
+    ):
         add(t, 1, "/dgeval/events", message("std_msgs/String", data=json.dumps({"event": event})))
     label = json.dumps({"event": "label", "label": "success"})
     add(DURATION - 0.1, 1, "/dgeval/events", message("std_msgs/String", data=label))
@@ -183,7 +238,12 @@ def make(path: Path) -> None:
         values = np.array(list(q.values()))
         empty = np.zeros(0)
         state = message(
-            "sensor_msgs/JointState", header=header(at(t), ""), name=list(q), position=values, velocity=empty, effort=empty
+            "sensor_msgs/JointState",
+            header=header(at(t), ""),
+            name=list(q),
+            position=values,
+            velocity=empty,
+            effort=empty,
         )
         add(max(t, 0.0), 2, "/joint_states", state)
     T_object_grasp = invert(object_pose(T_CLOSE)) @ hand_pose(joints(T_CLOSE))
@@ -193,7 +253,12 @@ def make(path: Path) -> None:
         colour, depth, _ = render(scene_at(t, base, box), CAMERA, T_camera)
         colour, millimetres = add_noise(rng, colour, depth, MINIMUM_RANGE)
         add(t, 3, "/camera/color/camera_info", camera_info_message(at(t), CAMERA_FRAME, CAMERA))
-        add(t, 4, "/camera/color/image_raw/compressed", jpeg_message(at(t), CAMERA_FRAME, colour, 80))
+        add(
+            t,
+            4,
+            "/camera/color/image_raw/compressed",
+            jpeg_message(at(t), CAMERA_FRAME, colour, 80),
+        )
         add(
             t,
             5,
@@ -203,7 +268,12 @@ def make(path: Path) -> None:
         grasp = object_pose(t) @ T_object_grasp
         near = float(np.linalg.norm(grasp[:3, 3] - hand_pose(joints(t))[:3, 3]))
         add(t, 6, "/dgeval/belief/grasp", stamped(t, grasp))
-        add(t, 7, "/dgeval/belief/score", message("std_msgs/Float64", data=float(np.exp(-near / 0.08))))
+        add(
+            t,
+            7,
+            "/dgeval/belief/score",
+            message("std_msgs/Float64", data=float(np.exp(-near / 0.08))),
+        )
         add(t, 8, "/truth/object_pose", stamped(t, object_pose(t)))
     with McapWriter(path) as writer:
         for log_ns, _, topic, value in sorted(entries, key=lambda e: (e[0], e[1])):

@@ -18,7 +18,14 @@ def main(out: Path = Path(__file__).parent) -> None:
         scenario = load_scenario(name)
         campaign = Campaign(scenario, 0, scenario.trials, out)
         plans = [plan_of(campaign, k) for k in range(scenario.trials)]
-        about = [{"id": p.id, "index": p.index, "verdict": {"object": p.object, "speed": p.nominal_speed}} for p in plans]
+        about = [
+            {
+                "id": p.id,
+                "index": p.index,
+                "verdict": {"object": p.object, "speed": p.nominal_speed},
+            }
+            for p in plans
+        ]
         write_manifest(campaign, [(trial, None) for trial in about])
 
 

@@ -42,11 +42,15 @@ class Scene:
     solids: list[tuple[Box | Capsule, Array]] = field(default_factory=list)
 
 
-def speckle(rng: np.random.Generator, base: tuple[int, int, int], contrast: float, size: int = 256) -> Image:
+def speckle(
+    rng: np.random.Generator, base: tuple[int, int, int], contrast: float, size: int = 256
+) -> Image:
     """A texture with detail at several scales around a base colour."""
     out = np.zeros((size, size, 3))
     for cells in (4, 8, 16, 32, 64):
-        noise = rng.standard_normal((cells, cells, 3)) * 0.6 + rng.standard_normal((cells, cells, 1))
+        noise = rng.standard_normal((cells, cells, 3)) * 0.6 + rng.standard_normal(
+            (cells, cells, 1)
+        )
         out += cv2.resize(noise, (size, size), interpolation=cv2.INTER_CUBIC)
     return np.clip(np.array(base) + out / 2.2 * contrast, 0, 255).astype(np.uint8)
 
@@ -73,16 +77,26 @@ def _sample(texture: Image, u: Array, v: Array) -> Array:
     y = np.asarray(v * (texture.shape[0] - 1), np.float32).reshape(1, -1)
     # OpenCV's remap takes at most 32767 columns
     parts = [
-        cv2.remap(texture, x[:, i : i + 30000], y[:, i : i + 30000], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        cv2.remap(
+            texture,
+            x[:, i : i + 30000],
+            y[:, i : i + 30000],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REFLECT,
+        )
         for i in range(0, x.shape[1], 30000)
     ]
     return np.concatenate(parts, axis=1)[0].astype(np.float64)
 
 
-def render(scene: Scene, camera: Intrinsics, T_world_camera: Array) -> tuple[Image, Array, NDArray[np.int16]]:
+def render(
+    scene: Scene, camera: Intrinsics, T_world_camera: Array
+) -> tuple[Image, Array, NDArray[np.int16]]:
     """Colour (H, W, 3), exact depth (H, W) m, and the index of the solid seen (-1 table, -2 nothing)."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u, dtype=float)], -1).reshape(-1, 3)
+    rays = np.stack(
+        [(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u, dtype=float)], -1
+    ).reshape(-1, 3)
     directions = rays @ T_world_camera[:3, :3].T  # unit camera depth per unit of ray parameter
     origin = T_world_camera[:3, 3]
     depth = np.full(len(rays), np.inf)
@@ -99,13 +113,19 @@ def render(scene: Scene, camera: Intrinsics, T_world_camera: Array) -> tuple[Ima
             T = invert(T_world_solid)
             o = T[:3, :3] @ origin + T[:3, 3]
             d = directions @ T[:3, :3].T
-            near, shade = _hit_box(solid, o, d) if isinstance(solid, Box) else _hit_capsule(solid, o, d)
+            near, shade = (
+                _hit_box(solid, o, d) if isinstance(solid, Box) else _hit_capsule(solid, o, d)
+            )
             better = near < depth
             depth[better], ids[better] = near[better], i
             colour[better] = shade(better)
     shape = (camera.height, camera.width)
     depth[~np.isfinite(depth)] = 0.0
-    return np.clip(colour, 0, 255).astype(np.uint8).reshape(*shape, 3), depth.reshape(shape), ids.reshape(shape)
+    return (
+        np.clip(colour, 0, 255).astype(np.uint8).reshape(*shape, 3),
+        depth.reshape(shape),
+        ids.reshape(shape),
+    )
 
 
 def _hit_box(box: Box, o: Array, d: Array):  # type: ignore[no-untyped-def]
@@ -124,7 +144,11 @@ def _hit_box(box: Box, o: Array, d: Array):  # type: ignore[no-untyped-def]
                 face = (axis[chosen] == a) & ((p[:, a] < 0) == bool(sign))
                 others = [k for k in range(3) if k != a]
                 uv = np.clip(p[face][:, others] / (2 * half[others]) + 0.5, 0, 0.999)
-                out[face] = _sample(box.faces[2 * a + sign], uv[:, 0], uv[:, 1]) * (1.0, 0.85, 0.95)[a] if face.any() else 0
+                out[face] = (
+                    _sample(box.faces[2 * a + sign], uv[:, 0], uv[:, 1]) * (1.0, 0.85, 0.95)[a]
+                    if face.any()
+                    else 0
+                )
         return out
 
     return near, shade
@@ -155,16 +179,27 @@ def _hit_capsule(capsule: Capsule, o: Array, d: Array):  # type: ignore[no-untyp
     return near, shade
 
 
-def add_noise(rng: np.random.Generator, colour: Image, depth: Array, minimum: float = 0.0) -> tuple[Image, NDArray[np.uint16]]:
+def add_noise(
+    rng: np.random.Generator, colour: Image, depth: Array, minimum: float = 0.0
+) -> tuple[Image, NDArray[np.uint16]]:
     """Sensor noise: colour (H, W, 3), depth in mm (H, W) uint16 with 0 where there is no reading."""
-    noisy = cv2.GaussianBlur(colour, (3, 3), 0.6).astype(np.float64) + rng.normal(0, 2.5, colour.shape)
+    noisy = cv2.GaussianBlur(colour, (3, 3), 0.6).astype(np.float64) + rng.normal(
+        0, 2.5, colour.shape
+    )
     # the noise of neighbouring depth pixels is correlated, as matching windows overlap
     field_ = cv2.GaussianBlur(rng.standard_normal(depth.shape), (5, 5), 1.0)
     field_ /= field_.std()
     z = depth + field_ * depth_sigma(depth)
     disparity = np.where(depth > 0, 580.0 * 0.075 / np.maximum(z, 1e-6), 0)
     z = np.where(depth > 0, 580.0 * 0.075 / np.maximum(np.round(disparity * 8) / 8, 1e-6), 0)
-    edge = cv2.dilate((np.abs(cv2.Laplacian(depth, cv2.CV_64F)) > 0.03).astype(np.uint8), np.ones((3, 3), np.uint8))
-    lost = (edge > 0) & (rng.random(depth.shape) < 0.6) | (rng.random(depth.shape) < 0.004) | (depth <= minimum)
+    edge = cv2.dilate(
+        (np.abs(cv2.Laplacian(depth, cv2.CV_64F)) > 0.03).astype(np.uint8),
+        np.ones((3, 3), np.uint8),
+    )
+    lost = (
+        (edge > 0) & (rng.random(depth.shape) < 0.6)
+        | (rng.random(depth.shape) < 0.004)
+        | (depth <= minimum)
+    )
     millimetres = np.where(lost, 0, np.round(z * 1000))
     return np.clip(noisy, 0, 255).astype(np.uint8), np.clip(millimetres, 0, 65534).astype(np.uint16)

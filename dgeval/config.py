@@ -28,7 +28,9 @@ class RolesConfig(Section):
     colour: str | None = None
     depth: str | None = None
     intrinsics: str | None = None
-    camera_pose: str | None = Field(None, description="a PoseStamped or Odometry topic instead of tf")
+    camera_pose: str | None = Field(
+        None, description="a PoseStamped or Odometry topic instead of tf"
+    )
     hand_pose: str | None = Field(None, description="a PoseStamped topic instead of tf or joints")
     hand_joints: str | None = None
     events: str | None = None
@@ -50,54 +52,92 @@ class FramesConfig(Section):
     """tf frame names; None means found."""
 
     base: str | None = None
-    camera: str | None = Field(None, description="colour optical frame; default: frame_id of the colour images")
+    camera: str | None = Field(
+        None, description="colour optical frame; default: frame_id of the colour images"
+    )
     palm: str | None = None
 
 
 class CalibrationConfig(Section):
-    description: str | None = Field(None, description="URDF file; default: a /robot_description in the log")
+    description: str | None = Field(
+        None, description="URDF file; default: a /robot_description in the log"
+    )
     mesh_dirs: tuple[str, ...] = ()
     flange: str | None = Field(None, description="link that T_flange_camera refers to")
-    T_flange_camera: Pose7 | None = Field(None, description="hand-eye calibration, px py pz qx qy qz qw")
-    depth_scale: float | None = Field(None, gt=0, description="m per unit of integer depth; default 0.001")
-    intrinsics: tuple[float, float, float, float] | None = Field(None, description="fx fy cx cy where none is recorded")
-    static_mask: str | None = Field(None, description="image; depth is dropped where it is not black")
+    T_flange_camera: Pose7 | None = Field(
+        None, description="hand-eye calibration, px py pz qx qy qz qw"
+    )
+    depth_scale: float | None = Field(
+        None, gt=0, description="m per unit of integer depth; default 0.001"
+    )
+    intrinsics: tuple[float, float, float, float] | None = Field(
+        None, description="fx fy cx cy where none is recorded"
+    )
+    static_mask: str | None = Field(
+        None, description="image; depth is dropped where it is not black"
+    )
 
 
 class SyncConfig(Section):
-    tolerance_s: float | None = Field(None, gt=0, description="colour-depth; default: half the colour period")
+    tolerance_s: float | None = Field(
+        None, gt=0, description="colour-depth; default: half the colour period"
+    )
     jump_s: float = Field(5.0, gt=0, description="a forward jump of the stamps to count")
     max_pose_gap_s: float = Field(0.5, gt=0, description="poses farther apart are not interpolated")
-    max_unmatched_share: float = Field(0.5, ge=0, le=1, description="of colour frames without depth, before exit code 3")
+    max_unmatched_share: float = Field(
+        0.5, ge=0, le=1, description="of colour frames without depth, before exit code 3"
+    )
 
 
 class SelfFilterConfig(Section):
-    margin: float = Field(0.010, ge=0, description="m; depth this close to a hand link is dropped (DESIGN 4)")
-    radius_default: float = Field(0.012, gt=0, description="m; capsule radius where a link has no shape that can be read")
+    margin: float = Field(
+        0.010, ge=0, description="m; depth this close to a hand link is dropped (DESIGN 4)"
+    )
+    radius_default: float = Field(
+        0.012, gt=0, description="m; capsule radius where a link has no shape that can be read"
+    )
 
 
 class PlaneConfig(Section):
     enabled: bool = True
     hypotheses: int = Field(32, ge=1)
-    min_support: float = Field(0.35, gt=0, le=1, description="share of the surroundings that must lie in the plane")
-    tolerance_sigmas: float = Field(3.0, gt=0, description="half thickness in depth standard deviations")
+    min_support: float = Field(
+        0.35, gt=0, le=1, description="share of the surroundings that must lie in the plane"
+    )
+    tolerance_sigmas: float = Field(
+        3.0, gt=0, description="half thickness in depth standard deviations"
+    )
 
 
 class TrackingConfig(Section):
     method: Literal["model", "csrt"] = "model"
     corners: int = Field(200, ge=8, description="image features followed on the target")
-    keyframe_angle: float = Field(0.20, gt=0, description="rad; a new keyframe when the view has turned by this much")
-    keyframe_scale: float = Field(1.25, gt=1, description="a new keyframe when the target's size has changed this much")
+    keyframe_angle: float = Field(
+        0.20, gt=0, description="rad; a new keyframe when the view has turned by this much"
+    )
+    keyframe_scale: float = Field(
+        1.25, gt=1, description="a new keyframe when the target's size has changed this much"
+    )
     iterations: int = Field(8, ge=1)
     align_points: int = Field(500, ge=50, description="model points used in the alignment to depth")
-    min_visible: float = Field(0.35, gt=0, le=1, description="share of the target's box inside the image, else lost")
-    min_agree: float = Field(0.5, gt=0, le=1, description="share of model points with agreeing depth, else lost")
-    min_corners: int = Field(6, ge=3, description="followed features, else the image alone does not carry the track")
-    reacquire_s: float = Field(2.0, ge=0, description="how long after a loss the target is looked for where it should be")
+    min_visible: float = Field(
+        0.35, gt=0, le=1, description="share of the target's box inside the image, else lost"
+    )
+    min_agree: float = Field(
+        0.5, gt=0, le=1, description="share of model points with agreeing depth, else lost"
+    )
+    min_corners: int = Field(
+        6, ge=3, description="followed features, else the image alone does not carry the track"
+    )
+    reacquire_s: float = Field(
+        2.0, ge=0, description="how long after a loss the target is looked for where it should be"
+    )
 
 
 class ObservationConfig(Section):
-    c_z: float = Field(0.1, gt=0, description="m; allowed distance from the median depth (Table V, c_z)")
+    c_z: float = Field(
+        0.1, gt=0, description="m; allowed distance from the median depth (Table V, c_z)"
+    )
     max_points: int = Field(1000, ge=50)
     min_points: int = Field(60, ge=10, description="fewer points are no observation")
 
@@ -106,31 +146,44 @@ class RegistrationConfig(Section):
     method: Literal["small_gicp", "open3d", "kiss_icp"] = "small_gicp"
     search_radius: float = Field(0.02, gt=0, description="m (PAPERS A4)")
     max_iterations: int = Field(15, ge=1)
-    colour: bool = Field(True, description="refine with the tracker's image features (beyond the paper)")
+    colour: bool = Field(
+        True, description="refine with the tracker's image features (beyond the paper)"
+    )
     c_a_f: float = Field(0.8, gt=0, lt=1, description="least gate fitness, strict (Table V, c_a,f)")
     c_a_v: float = Field(4.0, gt=0, description="m/s (Table V, c_a,v)")
     c_a_w: float = Field(4.0, gt=0, description="rad/s (Table V, c_a,omega)")
-    gate_distance: float = Field(0.005, gt=0, description="m; the gate counts matches within max(this, 2 sigma_z)")
+    gate_distance: float = Field(
+        0.005, gt=0, description="m; the gate counts matches within max(this, 2 sigma_z)"
+    )
 
 
 class FusionConfig(Section):
     n_s: int = Field(5, ge=1, description="previous accepted observations (Table V, n_s)")
     epsilon: float = Field(0.01, gt=0, description="m (Table V, epsilon)")
-    max_model_points: int = Field(4096, ge=100, description="N_max; a random subset is kept beyond it (PAPERS A7)")
+    max_model_points: int = Field(
+        4096, ge=100, description="N_max; a random subset is kept beyond it (PAPERS A7)"
+    )
 
 
 class EstimationConfig(Section):
-    sigma_acceleration: float = Field(0.3, gt=0, description="m/s^2 (PAPERS 7: 0.3 belt, 1.0 handover)")
+    sigma_acceleration: float = Field(
+        0.3, gt=0, description="m/s^2 (PAPERS 7: 0.3 belt, 1.0 handover)"
+    )
     sigma_position: float = Field(0.004, gt=0, description="m (PAPERS 7)")
     loss_policy: Literal["constant_velocity", "zero"] = "constant_velocity"
-    null_after_s: float = Field(1.0, gt=0, description="without an accepted frame, feature and velocity become null")
+    null_after_s: float = Field(
+        1.0, gt=0, description="without an accepted frame, feature and velocity become null"
+    )
 
 
 class GraspsConfig(Section):
     source: Literal["auto", "recorded", "ffhnet", "none"] = Field(
-        "auto", description="auto: the robot's own where they are recorded, else FFHNet where the hand is one it knows"
+        "auto",
+        description="auto: the robot's own where they are recorded, else FFHNet where the hand is one it knows",
     )
-    candidates: int = Field(256, ge=1, le=10_000, description="grasps drawn per frame (paper: not given, PAPERS A14)")
+    candidates: int = Field(
+        256, ge=1, le=10_000, description="grasps drawn per frame (paper: not given, PAPERS A14)"
+    )
     max_overlap: float = Field(
         0.004,
         ge=0,
@@ -138,37 +191,58 @@ class GraspsConfig(Section):
         "(ours; 1 turns it off)",
     )
     support_z: float | None = Field(
-        None, description="m in the base frame; candidates whose hand reaches deeper below it are left out (ours)"
+        None,
+        description="m in the base frame; candidates whose hand reaches deeper below it are left out (ours)",
     )
     way_m: float = Field(
-        0.0, ge=0, description="m before a grasp over which the hand's straight way to it must be free of the model too (ours)"
+        0.0,
+        ge=0,
+        description="m before a grasp over which the hand's straight way to it must be free of the model too (ours)",
     )
-    generator: str | None = Field(None, description="weights, .safetensors or the authors' *_gen_net.pt; default: shipped")
-    evaluator: str | None = Field(None, description="weights, .safetensors or the authors' *_eva_net.pt; default: shipped")
+    generator: str | None = Field(
+        None, description="weights, .safetensors or the authors' *_gen_net.pt; default: shipped"
+    )
+    evaluator: str | None = Field(
+        None, description="weights, .safetensors or the authors' *_eva_net.pt; default: shipped"
+    )
 
 
 class SelectionConfig(Section):
     c_m_s: float = Field(1.0, description="Table V, c_m,s")
-    c_m_t: float = Field(-0.1, description="per m (Table V, c_m,t; distance always costs, PAPERS A1)")
+    c_m_t: float = Field(
+        -0.1, description="per m (Table V, c_m,t; distance always costs, PAPERS A1)"
+    )
     c_m_r: float = Field(-0.2, description="per rad (Table V, c_m,r)")
     keep_margin: float = Field(
-        0.0, ge=0, description="by how much another grasp's metric must be better than that of the one chosen last (ours)"
+        0.0,
+        ge=0,
+        description="by how much another grasp's metric must be better than that of the one chosen last (ours)",
     )
-    literal_eq5: bool = Field(False, description="the signs of equation 5 as printed, which reward distance")
-    rotation_vector_difference: bool = Field(False, description="|r_G - r_R| instead of the geodesic angle (PAPERS A2)")
+    literal_eq5: bool = Field(
+        False, description="the signs of equation 5 as printed, which reward distance"
+    )
+    rotation_vector_difference: bool = Field(
+        False, description="|r_G - r_R| instead of the geodesic angle (PAPERS A2)"
+    )
 
 
 class ServoConfig(Section):
-    gains: Literal["paper", "fast"] = Field("paper", description="paper: Table V; fast: c_d 0.2 and 0.5 (PAPERS A11)")
+    gains: Literal["paper", "fast"] = Field(
+        "paper", description="paper: Table V; fast: c_d 0.2 and 0.5 (PAPERS A11)"
+    )
     c_p_v: float = 1.0
     c_d_v: float = 2.0
     c_p_w: float = 2.5
     c_d_w: float = 5.0
     c_O: float = Field(0.2, gt=0, description="m (Table V)")
     c_G: float = Field(0.05, gt=0, description="m (Table V)")
-    derivative_tau: float = Field(0.1, gt=0, description="s; low-pass of the derivative (PAPERS A11)")
+    derivative_tau: float = Field(
+        0.1, gt=0, description="s; low-pass of the derivative (PAPERS A11)"
+    )
     beyond_m: float = Field(
-        0.0, ge=0, description="m beyond the grasp along the fingers that the hand is sent to as long as it is before it (ours)"
+        0.0,
+        ge=0,
+        description="m beyond the grasp along the fingers that the hand is sent to as long as it is before it (ours)",
     )
 
 
@@ -186,19 +260,26 @@ class VfasConfig(Section):
     """VFAS-Grasp. Where the description says "ours", the paper gives no figure (PAPERS B1, B9)."""
 
     evaluator: str | None = Field(
-        None, description="weights, .safetensors or 6-DoF GraspNet's latest_net.pth; default: shipped"
+        None,
+        description="weights, .safetensors or 6-DoF GraspNet's latest_net.pth; default: shipped",
     )
     labels: Literal["vfas", "jsll"] | None = Field(
-        None, description="of scene and gripper points, 0/1 or 1/0; default: as the weights were trained (PAPERS B8)"
+        None,
+        description="of scene and gripper points, 0/1 or 1/0; default: as the weights were trained (PAPERS B8)",
     )
-    centre: Literal["grasp", "mean"] | None = Field(None, description="what points are relative to; default: as the weights'")
+    centre: Literal["grasp", "mean"] | None = Field(
+        None, description="what points are relative to; default: as the weights'"
+    )
     contact_graspnet: str | None = Field(
-        None, description="seeds where none is recorded: a checkpoint of cgn-pytorch, or `installed`; default: dgeval's sampler"
+        None,
+        description="seeds where none is recorded: a checkpoint of cgn-pytorch, or `installed`; default: dgeval's sampler",
     )
     candidates: int = Field(64, ge=1, le=4096, description="N, grasps drawn per iteration (ours)")
     half_width: float = Field(0.02, gt=0, description="m on each axis of the seed (paper)")
     half_angle: float = Field(5.0, ge=0, description="degrees of pitch and yaw (paper)")
-    noise_candidates: Literal["all", "top8"] = Field("top8", description="which get noisy copies; paper: all")
+    noise_candidates: Literal["all", "top8"] = Field(
+        "top8", description="which get noisy copies; paper: all"
+    )
     copies: int = Field(5, ge=1, le=100, description="k, noisy copies (ours)")
     noise: float = Field(0.002, ge=0, description="m, each axis (paper)")
     k1: float = Field(10.0, ge=0, description="per m of distance from the seed (ours)")
@@ -206,13 +287,16 @@ class VfasConfig(Section):
     k3: float = Field(0.5, ge=0, description="of the spread of quality (ours)")
     good_score: float = Field(0.5, description="a grasp is good above it (paper)")
     keep_seed: bool = Field(
-        True, description="the seed itself is a candidate too (ours: else no iteration can leave it in place)"
+        True,
+        description="the seed itself is a candidate too (ours: else no iteration can leave it in place)",
     )
     adaptive: bool = Field(True, description="the region and N grow until a good grasp is found")
     factor: float = Field(1.3, ge=1, description="lambda, growth per iteration (paper)")
     most_factor: float = Field(3.0, ge=1, description="paper")
     motion_field: bool = Field(True, description="the seed moves with what moves near it")
-    rho: float = Field(0.05, gt=0, description="m, sphere round the seed of the motion field (ours)")
+    rho: float = Field(
+        0.05, gt=0, description="m, sphere round the seed of the motion field (ours)"
+    )
     low_pass: bool = Field(True, description="the 1 euro filter on the seed")
     filter: OneEuroConfig = OneEuroConfig()
     period_s: float = Field(0.05, gt=0, description="between iterations (paper: 20 Hz)")
@@ -220,16 +304,23 @@ class VfasConfig(Section):
     hold_distance: float = Field(0.005, gt=0, description="m (ours)")
     hold_angle: float = Field(3.0, gt=0, description="degrees (ours)")
     hold_iterations: int = Field(5, ge=1, description="within both before the advance (paper)")
-    search: bool = Field(False, description="the seed is ahead of the gripper and stays until a good grasp is found (handover)")
+    search: bool = Field(
+        False,
+        description="the seed is ahead of the gripper and stays until a good grasp is found (handover)",
+    )
     search_ahead: float = Field(0.15, gt=0, description="m (paper)")
-    refine: bool = Field(True, description="without, the seed is executed as it is: the baseline of Table I")
+    refine: bool = Field(
+        True, description="without, the seed is executed as it is: the baseline of Table I"
+    )
     gain: float = Field(2.0, gt=0, description="1/s of the proportional controller (ours)")
 
 
 class ExecutionConfig(Section):
     c_e: float = Field(0.7, description="execution threshold, strict (Table V)")
     arrived_m: float | None = Field(
-        None, gt=0, description="m of the hand to the grasp within which alone it is executed (ours; paper: by score alone)"
+        None,
+        gt=0,
+        description="m of the hand to the grasp within which alone it is executed (ours; paper: by score alone)",
     )
     arrived_deg: float = Field(6.0, gt=0, description="degrees, with arrived_m (ours)")
 
@@ -242,13 +333,24 @@ class ScheduleConfig(Section):
 
 
 class VerdictConfig(Section):
-    method: Literal["twin", "geometry"] = Field("twin", description="what tells whether another close would have worked")
-    draws: int = Field(3, ge=1, le=50, description="of the object's place, friction and mass, in the twin")
-    least: float = Field(0.6, ge=0, le=1, description="probability of the best class under which the answer is unknown")
+    method: Literal["twin", "geometry"] = Field(
+        "twin", description="what tells whether another close would have worked"
+    )
+    draws: int = Field(
+        3, ge=1, le=50, description="of the object's place, friction and mass, in the twin"
+    )
+    least: float = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="probability of the best class under which the answer is unknown",
+    )
 
 
 class ReviewConfig(Section):
-    jpeg_quality: int = Field(85, ge=1, le=100, description="only for colour that was not recorded as JPEG or PNG")
+    jpeg_quality: int = Field(
+        85, ge=1, le=100, description="only for colour that was not recorded as JPEG or PNG"
+    )
     depth_every: int = Field(3, ge=1, description="a depth image in every n-th frame")
     cloud_points: int = Field(1000, ge=1)
 
@@ -281,13 +383,19 @@ class Config(Section):
         """What of the dynamic pipeline goes another way than the paper's, by these values: for the notes of a trial."""
         out = []
         if self.selection.keep_margin:
-            out.append(f"a chosen grasp is kept until another's metric is better by {self.selection.keep_margin:g}")
+            out.append(
+                f"a chosen grasp is kept until another's metric is better by {self.selection.keep_margin:g}"
+            )
         if self.grasps.way_m:
-            out.append(f"the last {100 * self.grasps.way_m:g} cm of the way to a grasp are free of the model")
+            out.append(
+                f"the last {100 * self.grasps.way_m:g} cm of the way to a grasp are free of the model"
+            )
         if self.servo.beyond_m:
             out.append(f"the hand is sent {1e3 * self.servo.beyond_m:g} mm beyond the grasp")
         if self.execution.arrived_m is not None:
-            out.append(f"executed within {1e3 * self.execution.arrived_m:g} mm of the grasp, not by score alone")
+            out.append(
+                f"executed within {1e3 * self.execution.arrived_m:g} mm of the grasp, not by score alone"
+            )
         return [f"not in the paper: {what}" for what in out]
 
 
@@ -297,7 +405,9 @@ def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) ->
     if pipeline.endswith(".toml"):
         values = read_toml(Path(pipeline))
     elif pipeline not in ("dynamic", "vfas"):
-        raise UsageError(f"no pipeline {pipeline!r}", hint="built in: dynamic, vfas; or give a FILE.toml")
+        raise UsageError(
+            f"no pipeline {pipeline!r}", hint="built in: dynamic, vfas; or give a FILE.toml"
+        )
     else:
         values["pipeline"] = pipeline
     for assignment in assignments:
@@ -353,5 +463,9 @@ def _explain(error: Any) -> str:
     for name in path[:-1]:
         model = model.model_fields[name].annotation  # type: ignore[assignment]
     near = difflib.get_close_matches(path[-1], model.model_fields, n=1)
-    hint = f", did you mean {'.'.join([*path[:-1], near[0]])}?" if near else f"; known: {', '.join(model.model_fields)}"
+    hint = (
+        f", did you mean {'.'.join([*path[:-1], near[0]])}?"
+        if near
+        else f"; known: {', '.join(model.model_fields)}"
+    )
     return f"unknown key {where}{hint}"

@@ -14,7 +14,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+)
 FINGERPRINT_PACKAGES = (
     "numpy", "scipy", "opencv-contrib-python-headless", "small_gicp", "open3d-cpu", "open3d", "kiss-icp",
     "filterpy", "mcap", "rosbags", "pyarrow", "torch",
@@ -45,7 +50,9 @@ def generator(seed: int, stage: str, frame: int) -> np.random.Generator:
     import numpy as np
 
     key = hashlib.sha256(f"{seed}/{stage}".encode()).digest()[:16]
-    return np.random.Generator(np.random.Philox(key=int.from_bytes(key, "little"), counter=[0, 0, 0, frame]))
+    return np.random.Generator(
+        np.random.Philox(key=int.from_bytes(key, "little"), counter=[0, 0, 0, frame])
+    )
 
 
 def fingerprint() -> dict[str, str]:
@@ -86,7 +93,10 @@ class ColumnDigest:
     """
 
     def __init__(self, columns: dict[str, str]) -> None:
-        self._columns = [(name, kind, hashlib.sha256(f"{name}:{kind}".encode())) for name, kind in sorted(columns.items())]
+        self._columns = [
+            (name, kind, hashlib.sha256(f"{name}:{kind}".encode()))
+            for name, kind in sorted(columns.items())
+        ]
         self._rows = 0
 
     def add(self, row: Mapping[str, Any]) -> None:

@@ -80,7 +80,9 @@ def classify(facts: Facts, thresholds: Thresholds | None = None) -> Verdict | Ne
     th = thresholds or Thresholds()
     moved = facts.displacement_m > th.moved_m or facts.displacement_deg > th.moved_deg
     shift = _nearest_run(facts.curve, th.consecutive)
-    imprecise = Verdict("imprecise_pose", "unstable" if facts.height_m >= th.unstable_m else "missed")
+    imprecise = Verdict(
+        "imprecise_pose", "unstable" if facts.height_m >= th.unstable_m else "missed"
+    )
     if not facts.closed:
         if shift is not None:
             return Verdict("timing", "never", shift)
@@ -96,7 +98,9 @@ def classify(facts: Facts, thresholds: Thresholds | None = None) -> Verdict | Ne
             if facts.put_back:
                 return Verdict("collision", "displaced")
         else:
-            before = tuple(c for c in facts.curve if facts.contact_s is not None and c[0] <= facts.contact_s)
+            before = tuple(
+                c for c in facts.curve if facts.contact_s is not None and c[0] <= facts.contact_s
+            )
             earlier = _nearest_run(before, th.consecutive)
             if earlier is not None:
                 return Verdict("timing", "late", earlier)

@@ -48,7 +48,9 @@ def transform(T_a_b: Array, points_b: Array) -> Array:
 def increment(xi: Array) -> Array:
     """Small motion (6,) [translation m, rotation vector rad] -> (4, 4); the rotation is exact."""
     T = np.eye(4)
-    T[:3, :3] = cv2.Rodrigues(xi[3:])[0]  # a hundredth of the time of scipy's Rotation, and called in inner loops
+    T[:3, :3] = cv2.Rodrigues(xi[3:])[
+        0
+    ]  # a hundredth of the time of scipy's Rotation, and called in inner loops
     T[:3, 3] = xi[:3]
     return T
 
@@ -57,7 +59,9 @@ def rotation_vector(R: Array) -> Array:
     """Rotation matrix (3, 3) -> rotation vector (3,), rad."""
     sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     if R[0, 0] + R[1, 1] + R[2, 2] > 2.9 and sine @ sine < 1e-8:
-        return sine  # OpenCV calls angles below 1e-5 zero; up to 1e-4 the sine is the angle to 2e-13
+        return (
+            sine  # OpenCV calls angles below 1e-5 zero; up to 1e-4 the sine is the angle to 2e-13
+        )
     return np.asarray(cv2.Rodrigues(R)[0][:, 0])
 
 

@@ -10,7 +10,9 @@ from pathlib import Path
 from dgeval.determinism import set_thread_variables
 
 
-def write_all(make: Callable[[int], Path], objects: Sequence[int], jobs: int, progress: Callable[[Path], None]) -> list[Path]:
+def write_all(
+    make: Callable[[int], Path], objects: Sequence[int], jobs: int, progress: Callable[[Path], None]
+) -> list[Path]:
     """What `make` (which can be pickled) writes for objects by their numbers; the same for any number of jobs."""
     if jobs == 1:
         paths = []

@@ -32,12 +32,23 @@ def dataset_of(specs: Iterable[TrialSpec], inputs: dict[str, str]) -> dict[str, 
 
     The recordings' place and name are no part of it; inputs: SHA-256 by trial.
     """
-    trials = {s.id: {k: v for k, v in asdict(s).items() if k not in ("recording", "sha256")} for s in specs}
-    about = {"trials": json.loads(json.dumps(trials, default=str)), "inputs": dict(sorted(inputs.items()))}
-    return {**about, "sha256": hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()}
+    trials = {
+        s.id: {k: v for k, v in asdict(s).items() if k not in ("recording", "sha256")}
+        for s in specs
+    }
+    about = {
+        "trials": json.loads(json.dumps(trials, default=str)),
+        "inputs": dict(sorted(inputs.items())),
+    }
+    return {
+        **about,
+        "sha256": hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest(),
+    }
 
 
-def write_baseline(path: Path, folder: Path, dataset: str, specs: list[TrialSpec], reason: str) -> None:
+def write_baseline(
+    path: Path, folder: Path, dataset: str, specs: list[TrialSpec], reason: str
+) -> None:
     """Store a finished run as the baseline of a data set. Byte-identical for the same tables but for the times in them."""
     run = read_run(folder)
     about = {
@@ -53,10 +64,14 @@ def write_baseline(path: Path, folder: Path, dataset: str, specs: list[TrialSpec
     for trial in run.trials["trial"]:
         names += [f"{kind}/{file_name(trial)}.parquet" for kind in ("frames", "hindsight")]
     with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as file:
-        file.writestr(zipfile.ZipInfo("baseline.json", EPOCH), json.dumps(about, indent=1, sort_keys=True))
+        file.writestr(
+            zipfile.ZipInfo("baseline.json", EPOCH), json.dumps(about, indent=1, sort_keys=True)
+        )
         for name in names:
             if (folder / name).is_file():
-                file.writestr(zipfile.ZipInfo(name, EPOCH), (folder / name).read_bytes(), zipfile.ZIP_DEFLATED)
+                file.writestr(
+                    zipfile.ZipInfo(name, EPOCH), (folder / name).read_bytes(), zipfile.ZIP_DEFLATED
+                )
     part.replace(path)
 
 
@@ -73,21 +88,30 @@ def read_baseline(path: Path, into: Path) -> tuple[dict[str, Any], Run]:
         hint = "write it with --update --reason 'first baseline'"
         raise UsageError("there is no baseline", Place(str(path)), hint) from error
     except (OSError, zipfile.BadZipFile, ValueError, KeyError) as error:
-        raise UsageError(f"not a baseline ({type(error).__name__}: {error})", Place(str(path))) from error
+        raise UsageError(
+            f"not a baseline ({type(error).__name__}: {error})", Place(str(path))
+        ) from error
     return about, read_run(into)
 
 
 def check_dataset(about: dict[str, Any], dataset: str, specs: list[TrialSpec], path: Path) -> None:
     """UsageError where the baseline is of another data set, by name or by its trials."""
     if about["dataset"] != dataset:
-        raise UsageError(f"the baseline is of data set {about['dataset']!r}, this is {dataset!r}", Place(str(path)))
+        raise UsageError(
+            f"the baseline is of data set {about['dataset']!r}, this is {dataset!r}",
+            Place(str(path)),
+        )
     now = dataset_of(specs, {})["trials"]
     for trial in sorted(set(now) | set(about["trials"])):
         if now.get(trial) == about["trials"].get(trial):
             continue
         if trial not in now or trial not in about["trials"]:
             where = "the baseline" if trial not in now else "the data set"
-            raise UsageError(f"trial {trial} is only in {where}", Place(str(path)), "make the baseline again with --update")
+            raise UsageError(
+                f"trial {trial} is only in {where}",
+                Place(str(path)),
+                "make the baseline again with --update",
+            )
         fields = [k for k in now[trial] if now[trial][k] != about["trials"][trial].get(k)]
         what = f"trial {trial}: {', '.join(fields)} of the manifest changed since the baseline"
         raise UsageError(what, Place(str(path)), "make the baseline again with --update")
@@ -107,7 +131,11 @@ def gate(baseline: Run, now: Run, fail_on_inconclusive: bool) -> tuple[Compariso
     c = compare_runs(baseline, now)
     missing = list(c.only_old)
     if missing:
-        return c, False, f"{len(missing)} trials of the baseline were not replayed, {missing[0]} first"
+        return (
+            c,
+            False,
+            f"{len(missing)} trials of the baseline were not replayed, {missing[0]} first",
+        )
     said = {
         "identical": "every stage of every trial gives the baseline's bytes",
         "within tolerance": "differences are within the tolerances of their fields",
@@ -117,7 +145,8 @@ def gate(baseline: Run, now: Run, fail_on_inconclusive: bool) -> tuple[Compariso
         "disagreement": "facts of the log are told differently, and one of the two is wrong: "
         + "; ".join(f"{t}: {f} {a} -> {b}" for t, f, a, b in c.facts[:3])
         + (f"; and {len(c.facts) - 3} more" if len(c.facts) > 3 else ""),
-        "worse": "results changed for the worse: " + ", ".join(r.metric.name for r in c.results if r.answer == "worse"),
+        "worse": "results changed for the worse: "
+        + ", ".join(r.metric.name for r in c.results if r.answer == "worse"),
     }[c.conclusion]
     passed = c.conclusion != "worse" and not (fail_on_inconclusive and c.conclusion in UNDECIDED)
     if c.first is not None:
@@ -143,14 +172,20 @@ def junit(c: Comparison, passed: bool, said: str, dataset: str) -> str:
     metrics = _suite(suites, "metrics", len(METRICS))
     results = {r.metric: r for r in c.results}
     for metric in METRICS:
-        case = ElementTree.SubElement(metrics, "testcase", classname=f"{dataset}.metrics", name=metric.name)
+        case = ElementTree.SubElement(
+            metrics, "testcase", classname=f"{dataset}.metrics", name=metric.name
+        )
         if (r := results.get(metric)) is None:
             continue  # same bytes, or nothing to measure it by
         about = f"{r.old:.6g} -> {r.new:.6g}, p {r.p:.3f}, {r.n} trials"
         if r.answer == "worse":
             ElementTree.SubElement(case, "failure", message=f"worse: {about}")
         elif r.answer == "inconclusive":
-            ElementTree.SubElement(case, "skipped", message=f"inconclusive: {about}; some {r.needed} trials would settle it")
+            ElementTree.SubElement(
+                case,
+                "skipped",
+                message=f"inconclusive: {about}; some {r.needed} trials would settle it",
+            )
     whole = _suite(suites, "gate", 1)
     case = ElementTree.SubElement(whole, "testcase", classname=dataset, name="gate")
     if not passed:

@@ -31,7 +31,11 @@ TIMELINE = "time"
 # the decisive moment, which is known at the end only, stand on a second timeline as well, and that one is followed.
 DECISIVE = "up to the decisive moment"
 EYE = np.array([0.1, -0.40, 0.25])  # m, from what is looked at
-BEFORE_S, EVERY, KEPT = 2.0, 3, 400  # of that timeline: its length, every n-th frame, and frames kept to choose from
+BEFORE_S, EVERY, KEPT = (
+    2.0,
+    3,
+    400,
+)  # of that timeline: its length, every n-th frame, and frames kept to choose from
 OBJECT, HAND, GRASP, OFFENDING = (240, 170, 40), (120, 130, 145), (60, 180, 90), (230, 40, 40)
 STATES = {"tracked": "tracked", "lost": "lost", "not_started": "not started"}
 
@@ -56,7 +60,10 @@ class ReviewWriter:
         self._path, self._trial, self._config = path, trial, config
         self._start_ns = trial.pairs[0][0]
         self._rec = rr.RecordingStream(
-            "dgeval", recording_id=trial.spec.id, send_properties=False, batcher_config=rr.ChunkBatcherConfig.NEVER()
+            "dgeval",
+            recording_id=trial.spec.id,
+            send_properties=False,
+            batcher_config=rr.ChunkBatcherConfig.NEVER(),
         )
         self._rec.set_log_time_enabled(False)
         self._rec.set_log_tick_enabled(False)
@@ -104,16 +111,24 @@ class ReviewWriter:
         if step.model is not None and step.T_camera_model is not None:
             T = T_base_camera @ step.T_camera_model
             rec.log("world/object", _transform(T))
-            if abs(len(step.model.points) - self._model_size) > 0.05 * max(self._model_size, 1) or frame.index % 30 == 0:
+            if (
+                abs(len(step.model.points) - self._model_size) > 0.05 * max(self._model_size, 1)
+                or frame.index % 30 == 0
+            ):
                 self._model_size = len(step.model.points)
                 every = max(1, self._model_size // self._config.review.cloud_points)
                 rec.log(
-                    "world/object/model", rr.Points3D(step.model.points[::every].astype(np.float32), radii=0.001, colors=OBJECT)
+                    "world/object/model",
+                    rr.Points3D(
+                        step.model.points[::every].astype(np.float32), radii=0.001, colors=OBJECT
+                    ),
                 )
         if row.get("velocity_x") is not None and row.get("feature_px") is not None:
             v = [[row["velocity_x"], row["velocity_y"], row["velocity_z"]]]
             at = [[row["feature_px"], row["feature_py"], row["feature_pz"]]]
-            rec.log("world/velocity", rr.Arrows3D(vectors=v, origins=at, colors=OBJECT, radii=0.002))
+            rec.log(
+                "world/velocity", rr.Arrows3D(vectors=v, origins=at, colors=OBJECT, radii=0.002)
+            )
         if row.get("grasp_px") is not None:
             self._log_axes("world/grasp", row, "grasp", GRASP)
         if row.get("hand_px") is not None:
@@ -121,14 +136,20 @@ class ReviewWriter:
         self._log_series(row)
         close_ns = self._trial.event_ns("close")
         if close_ns is None or frame.t_ns <= close_ns:
-            T_base_model = None if step.T_camera_model is None else T_base_camera @ step.T_camera_model
-            self._moments.append(_Moment(frame.t_ns, image, box, frame.hand, T_base_camera, T_base_model, row))
+            T_base_model = (
+                None if step.T_camera_model is None else T_base_camera @ step.T_camera_model
+            )
+            self._moments.append(
+                _Moment(frame.t_ns, image, box, frame.hand, T_base_camera, T_base_model, row)
+            )
 
     def _log_series(self, row: dict[str, Any]) -> None:
         for entity, names in SERIES.items():
             values = [row.get(name) for name in names.values()]
             if any(v is not None for v in values):
-                self._rec.log(entity, rr.Scalars([np.nan if v is None else float(v) for v in values]))
+                self._rec.log(
+                    entity, rr.Scalars([np.nan if v is None else float(v) for v in values])
+                )
 
     def _log_images(self, step: Step) -> tuple[rr.EncodedImage, rr.Boxes2D | None]:
         frame, row, rec = step.frame, step.row, self._rec
@@ -137,14 +158,21 @@ class ReviewWriter:
         if data is None:
             quality = [cv2.IMWRITE_JPEG_QUALITY, self._config.review.jpeg_quality]
             data = cv2.imencode(".jpg", frame.colour[:, :, ::-1], quality)[1].tobytes()
-        encoded = rr.EncodedImage(contents=data, media_type="image/png" if data[:4] == b"\x89PNG" else "image/jpeg")
+        encoded = rr.EncodedImage(
+            contents=data, media_type="image/png" if data[:4] == b"\x89PNG" else "image/jpeg"
+        )
         rec.log(image, encoded)
         self._image_bytes += len(data)
         if frame.index % self._config.review.depth_every == 0:
             # half size: depth is here to be looked at, the tables hold the numbers
             small = np.clip(frame.depth[::2, ::2] * 1000, 0, 65535).astype(np.uint16)
             png = cv2.imencode(".png", small)[1].tobytes()
-            rec.log("depth", rr.EncodedDepthImage(png, media_type="image/png", meter=1000.0, depth_range=(200, 2000)))
+            rec.log(
+                "depth",
+                rr.EncodedDepthImage(
+                    png, media_type="image/png", meter=1000.0, depth_range=(200, 2000)
+                ),
+            )
         if step.tracked.box is None:
             rec.log(f"{image}/box", rr.Clear(recursive=False))
             rec.log(f"{image}/mask", rr.Clear(recursive=False))
@@ -155,15 +183,24 @@ class ReviewWriter:
         drawn = rr.Boxes2D(array=[x0, y0, x1, y1], array_format=rr.Box2DFormat.XYXY, colors=colour)
         rec.log(f"{image}/box", drawn)
         if step.tracked.mask is not None and step.tracked.window is not None:
-            found = cv2.findContours(step.tracked.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)[0]
+            found = cv2.findContours(
+                step.tracked.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1
+            )[0]
             corner = np.array(step.tracked.window[:2])
             strips = [np.vstack([c[:, 0], c[:1, 0]]) + corner for c in found if len(c) > 4]
             rec.log(f"{image}/mask", rr.LineStrips2D(strips, colors=(230, 60, 200), radii=0.7))
         if step.model is not None and step.T_camera_model is not None:
-            points = transform(step.T_camera_model, step.model.points[:: max(1, len(step.model.points) // 250)])
+            points = transform(
+                step.T_camera_model, step.model.points[:: max(1, len(step.model.points) // 250)]
+            )
             points = points[points[:, 2] > 0.05]
             rec.log(
-                f"{image}/model", rr.Points2D(frame.camera.project(points).astype(np.float32), colors=(80, 200, 255), radii=0.8)
+                f"{image}/model",
+                rr.Points2D(
+                    frame.camera.project(points).astype(np.float32),
+                    colors=(80, 200, 255),
+                    radii=0.8,
+                ),
             )
         return encoded, drawn
 
@@ -176,16 +213,24 @@ class ReviewWriter:
                 self._drawn.add(entity)
                 self._rec.log(entity, drawn, static=True)
 
-    def _log_axes(self, entity: str, row: dict[str, Any], prefix: str, colour: tuple[int, int, int]) -> None:
+    def _log_axes(
+        self, entity: str, row: dict[str, Any], prefix: str, colour: tuple[int, int, int]
+    ) -> None:
         at = [row[f"{prefix}_p{a}"] for a in "xyz"]
         q = [row[f"{prefix}_q{a}"] for a in "xyzw"]
         self._rec.log(entity, rr.Transform3D(translation=at, quaternion=q))
         if entity not in self._drawn:
             self._drawn.add(entity)
-            axes = rr.Arrows3D(vectors=0.05 * np.eye(3), colors=[(220, 60, 60), colour, (60, 90, 220)], radii=0.0015)
+            axes = rr.Arrows3D(
+                vectors=0.05 * np.eye(3),
+                colors=[(220, 60, 60), colour, (60, 90, 220)],
+                radii=0.0015,
+            )
             self._rec.log(f"{entity}/axes", axes, static=True)
 
-    def close(self, path: Path, hindsight: Hindsight | None, judgement: Judgement) -> dict[str, int]:
+    def close(
+        self, path: Path, hindsight: Hindsight | None, judgement: Judgement
+    ) -> dict[str, int]:
         """Add what hindsight says and the blueprint, rename. Gives the file's bytes and those of the images as recorded."""
         decisive = judgement.decisive_ns or self._first_lost_ns
         evidence = str(judgement.columns.get("evidence", ""))
@@ -195,7 +240,12 @@ class ReviewWriter:
             decisive = self._moments[-1].t_ns
         if decisive is not None:
             self._at(decisive)
-            self._rec.log("events", rr.TextLog(f"decisive moment: {evidence}; timeline `{TIMELINE}` goes on", level="WARN"))
+            self._rec.log(
+                "events",
+                rr.TextLog(
+                    f"decisive moment: {evidence}; timeline `{TIMELINE}` goes on", level="WARN"
+                ),
+            )
             self._rec.reset_time()
             self._again(decisive, evidence)
         target = None
@@ -207,14 +257,26 @@ class ReviewWriter:
         self._path.replace(path)
         return {"bytes": path.stat().st_size, "image_bytes": self._image_bytes}
 
-    def _log_hindsight(self, hindsight: Hindsight, link: str | None, decisive_ns: int | None) -> None:
+    def _log_hindsight(
+        self, hindsight: Hindsight, link: str | None, decisive_ns: int | None
+    ) -> None:
         """The free path, where the object was seen, and at the decisive moment the link nearest to it with its distance."""
         rec = self._rec
         times = [m.t_ns for m in self._moments] or [s.t_ns for s in hindsight.sightings]
         centres = [transform(hindsight.path.at(t), hindsight.path.centroid[None])[0] for t in times]
-        rec.log("world/hindsight/free_path", rr.LineStrips3D([centres], colors=OBJECT, radii=0.001), static=True)
-        seen = [transform(s.T_base_model, hindsight.path.centroid[None])[0] for s in hindsight.sightings]
-        rec.log("world/hindsight/sightings", rr.Points3D(seen, colors=(90, 160, 250), radii=0.002), static=True)
+        rec.log(
+            "world/hindsight/free_path",
+            rr.LineStrips3D([centres], colors=OBJECT, radii=0.001),
+            static=True,
+        )
+        seen = [
+            transform(s.T_base_model, hindsight.path.centroid[None])[0] for s in hindsight.sightings
+        ]
+        rec.log(
+            "world/hindsight/sightings",
+            rr.Points3D(seen, colors=(90, 160, 250), radii=0.002),
+            static=True,
+        )
         for m in hindsight.moments:
             if m.distance is None:
                 continue
@@ -228,7 +290,11 @@ class ReviewWriter:
             return
         step = max(1, len(hindsight.points) // self._config.review.cloud_points)
         points = transform(hindsight.path.at(decisive_ns), hindsight.points[::step])
-        rec.log("world/hindsight/object", rr.Points3D(points.astype(np.float32), radii=0.001, colors=OFFENDING), static=True)
+        rec.log(
+            "world/hindsight/object",
+            rr.Points3D(points.astype(np.float32), radii=0.001, colors=OFFENDING),
+            static=True,
+        )
         near = nearest_link(self._trial, decisive_ns, points, link)
         if near is not None:
             name, distance, a, b = near
@@ -239,11 +305,15 @@ class ReviewWriter:
     def _again(self, decisive_ns: int, evidence: str) -> None:
         """The last seconds up to the decisive moment, on the timeline that is followed."""
         rec = self._rec
-        shown = [m for m in self._moments if decisive_ns - BEFORE_S * 1e9 <= m.t_ns <= decisive_ns] or list(self._moments)[-1:]
+        shown = [
+            m for m in self._moments if decisive_ns - BEFORE_S * 1e9 <= m.t_ns <= decisive_ns
+        ] or list(self._moments)[-1:]
         for m in shown[::-EVERY][::-1]:
             rec.set_time(DECISIVE, duration=(m.t_ns - self._start_ns) * 1e-9)
             rec.log("world/camera/colour", m.image)
-            rec.log("world/camera/colour/box", rr.Clear(recursive=False) if m.box is None else m.box)
+            rec.log(
+                "world/camera/colour/box", rr.Clear(recursive=False) if m.box is None else m.box
+            )
             rec.log("world/camera", _transform(m.T_base_camera))
             if m.hand is not None:
                 self._log_hand(m.hand, m.T_base_camera)
@@ -276,17 +346,26 @@ def _blueprint(target: Array | None) -> rrb.Blueprint:
         rrb.StateTimelineView(origin="phase", name="phase"),
     )
     images = rrb.Vertical(
-        rrb.Spatial2DView(origin="world/camera", contents=["world/camera/colour/**"], name="colour: box, mask, model"),
+        rrb.Spatial2DView(
+            origin="world/camera",
+            contents=["world/camera/colour/**"],
+            name="colour: box, mask, model",
+        ),
         rrb.Spatial2DView(origin="depth", name="depth"),
         rrb.TextLogView(origin="events", name="events"),
         row_shares=[4, 2, 1],
     )
     scene = rrb.Spatial3DView(
-        origin="world", contents=["world/**", "- world/camera/colour/**"], name="scene, base frame", eye_controls=eye
+        origin="world",
+        contents=["world/**", "- world/camera/colour/**"],
+        name="scene, base frame",
+        eye_controls=eye,
     )
     return rrb.Blueprint(
         rrb.Horizontal(images, scene, plots, column_shares=[3, 3, 3]),
-        rrb.TimePanel(timeline=DECISIVE, play_state="following", playback_speed=0.5, state="collapsed"),
+        rrb.TimePanel(
+            timeline=DECISIVE, play_state="following", playback_speed=0.5, state="collapsed"
+        ),
         collapse_panels=True,
     )
 
@@ -302,11 +381,17 @@ def _solid(shape: LinkShape) -> Any:
     if shape.kind == "sphere":
         return rr.Ellipsoids3D(radii=[shape.size[0]], colors=HAND, fill_mode="solid")
     if shape.kind == "cylinder":
-        return rr.Cylinders3D(lengths=[2 * shape.size[1]], radii=[shape.size[0]], colors=HAND, fill_mode="solid")
+        return rr.Cylinders3D(
+            lengths=[2 * shape.size[1]], radii=[shape.size[0]], colors=HAND, fill_mode="solid"
+        )
     if shape.kind == "capsule":
         half = shape.size[1]
         return rr.Capsules3D(
-            lengths=[2 * half], radii=[shape.size[0]], translations=[(0, 0, -half)], colors=HAND, fill_mode="solid"
+            lengths=[2 * half],
+            radii=[shape.size[0]],
+            translations=[(0, 0, -half)],
+            colors=HAND,
+            fill_mode="solid",
         )
     return None
 
@@ -318,7 +403,9 @@ def content_digest(path: Path) -> str:
     parts = []
     for chunk in RrdReader(str(path)).stream():
         batch = chunk.to_record_batch()
-        names = sorted(n for n in batch.schema.names if "RowId" not in n and n != "rerun.controls.RowId")
+        names = sorted(
+            n for n in batch.schema.names if "RowId" not in n and n != "rerun.controls.RowId"
+        )
         columns = [f"{n}:{batch.column(n).to_pylist()!r}" for n in names]
         parts.append(f"{chunk.entity_path}|" + "|".join(columns))
     return hashlib.sha256("\n".join(sorted(parts)).encode()).hexdigest()

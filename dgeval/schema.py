@@ -35,38 +35,102 @@ def _pose(prefix: str, meaning: str, stage: str) -> list[Column]:
 FRAMES: tuple[Column, ...] = (
     Column("frame", "int", "", "index in the trial", "input"),
     Column("t_ns", "int", "ns", "header stamp of the colour image", "input"),
-    Column("tracking", "str", "", "the image tracker's word: tracked, lost, not_started", "tracking"),
+    Column(
+        "tracking", "str", "", "the image tracker's word: tracked, lost, not_started", "tracking"
+    ),
     *_vector("box", "x0 y0 x1 y1", "px", "box of the target in colour", "tracking"),
     Column("mask_area", "int", "px", "pixels of the target with usable depth", "tracking"),
     Column("n_observed", "int", "points", "P_t after crop and filters", "registration"),
     Column("n_filtered", "int", "points", "P''_t, kept by equation 1", "fusion"),
     Column("n_model", "int", "points", "Q_t", "fusion"),
-    Column("icp_accepted", "bool", "", "the registration passed the gate; null where there was none", "registration"),
-    Column("icp_fitness", "float", "", "share of P_t with a model point within the search radius", "registration"),
-    Column("icp_gate_fitness", "float", "", "the same within max(5 mm, 2 sigma_z(z))", "registration"),
+    Column(
+        "icp_accepted",
+        "bool",
+        "",
+        "the registration passed the gate; null where there was none",
+        "registration",
+    ),
+    Column(
+        "icp_fitness",
+        "float",
+        "",
+        "share of P_t with a model point within the search radius",
+        "registration",
+    ),
+    Column(
+        "icp_gate_fitness", "float", "", "the same within max(5 mm, 2 sigma_z(z))", "registration"
+    ),
     Column("icp_rmse", "float", "m", "over the matches within the search radius", "registration"),
     Column("icp_reject_reason", "str", "", "why there is no accepted registration", "registration"),
-    *_pose("model", "T_camera_model; model frame = colour optical frame of the first accepted frame", "registration"),
+    *_pose(
+        "model",
+        "T_camera_model; model frame = colour optical frame of the first accepted frame",
+        "registration",
+    ),
     *_vector("centroid", "px py pz", "m", "model centroid in the camera frame", "fusion"),
     *_vector("feature", "px py pz", "m", "feature point, base frame", "estimation"),
     *_vector("velocity", "x y z", "m/s", "estimated velocity, base frame", "estimation"),
-    Column("velocity_sd", "float", "m/s", "square root of the largest eigenvalue of its covariance", "estimation"),
+    Column(
+        "velocity_sd",
+        "float",
+        "m/s",
+        "square root of the largest eigenvalue of its covariance",
+        "estimation",
+    ),
     Column("predicted", "bool", "", "no accepted registration in this frame", "registration"),
-    *_pose("grasp", "chosen grasp g*_t as T_base_palm; vfas: the seed after the iteration", "grasps"),
-    Column("grasp_score", "float", "", "predicted success of the chosen grasp; vfas: score S of equation 1", "grasps"),
-    Column("grasp_metric", "float", "", "dynamic grasp metric of the chosen grasp, equations 3 to 5", "grasps"),
+    *_pose(
+        "grasp", "chosen grasp g*_t as T_base_palm; vfas: the seed after the iteration", "grasps"
+    ),
+    Column(
+        "grasp_score",
+        "float",
+        "",
+        "predicted success of the chosen grasp; vfas: score S of equation 1",
+        "grasps",
+    ),
+    Column(
+        "grasp_metric",
+        "float",
+        "",
+        "dynamic grasp metric of the chosen grasp, equations 3 to 5",
+        "grasps",
+    ),
     Column("n_grasps", "int", "", "candidates the grasp was chosen from", "grasps"),
     *_pose("hand", "recorded palm pose, T_base_palm", "input"),
     Column("hand_score", "float", "", "evaluator's score of the recorded palm pose", "execution"),
-    Column("error_linear", "float", "m", "hand to grasp; vfas: to the goal, which is the pre-grasp pose at first", "servo"),
+    Column(
+        "error_linear",
+        "float",
+        "m",
+        "hand to grasp; vfas: to the goal, which is the pre-grasp pose at first",
+        "servo",
+    ),
     Column("error_angular", "float", "rad", "hand to grasp, geodesic", "servo"),
-    *_vector("twist", "vx vy vz", "m/s", "equation 7 at the recorded state, base axes, palm origin", "servo"),
+    *_vector(
+        "twist",
+        "vx vy vz",
+        "m/s",
+        "equation 7 at the recorded state, base axes, palm origin",
+        "servo",
+    ),
     *_vector("twist", "wx wy wz", "rad/s", "equation 7 at the recorded state, base axes", "servo"),
-    Column("execute", "bool", "", "score above c_e; vfas: the pre-grasp pose has been held", "execution"),
+    Column(
+        "execute",
+        "bool",
+        "",
+        "score above c_e; vfas: the pre-grasp pose has been held",
+        "execution",
+    ),
 )
 # Logged beside version 1; in no digest until the schema's version moves.
 FRAMES_ADDED: tuple[Column, ...] = (
-    Column("nis", "float", "", "normalised innovation squared of the velocity update, 3 degrees of freedom", "estimation"),
+    Column(
+        "nis",
+        "float",
+        "",
+        "normalised innovation squared of the velocity update, 3 degrees of freedom",
+        "estimation",
+    ),
     Column(
         "residual_translation",
         "float",
@@ -75,12 +139,27 @@ FRAMES_ADDED: tuple[Column, ...] = (
         "registration",
     ),
     Column("n_features", "int", "", "image features followed on the target", "tracking"),
-    Column("grasp_quality", "float", "", "vfas: mean quality of the best candidate over its noisy copies", "grasps"),
+    Column(
+        "grasp_quality",
+        "float",
+        "",
+        "vfas: mean quality of the best candidate over its noisy copies",
+        "grasps",
+    ),
     Column("grasp_spread", "float", "", "vfas: spread of its quality over them", "grasps"),
     Column("region_factor", "float", "", "vfas: scale of the sampling region", "grasps"),
     *_vector("motion", "x y z", "m/s", "vfas: motion field near the seed, base frame", "grasps"),
 )
-STAGES: tuple[str, ...] = ("input", "tracking", "registration", "fusion", "estimation", "grasps", "servo", "execution")
+STAGES: tuple[str, ...] = (
+    "input",
+    "tracking",
+    "registration",
+    "fusion",
+    "estimation",
+    "grasps",
+    "servo",
+    "execution",
+)
 
 TRIALS: tuple[Column, ...] = (
     Column("trial", "str", "", "id, unique in the run", "trial"),
@@ -125,16 +204,34 @@ TRIALS: tuple[Column, ...] = (
 HINDSIGHT: tuple[Column, ...] = (
     Column("frame", "int", "", "index in the trial", "hindsight"),
     Column("t_ns", "int", "ns", "header stamp of the colour image", "hindsight"),
-    *_pose("object", "T_base_model: where the whole log has the object; model frame as in frames", "hindsight"),
-    Column("by", "str", "", "path (undisturbed), registration, depth, colour, hand or support (moves with it)", "hindsight"),
+    *_pose(
+        "object",
+        "T_base_model: where the whole log has the object; model frame as in frames",
+        "hindsight",
+    ),
+    Column(
+        "by",
+        "str",
+        "",
+        "path (undisturbed), registration, depth, colour, hand or support (moves with it)",
+        "hindsight",
+    ),
     Column("sd", "float", "m", "of the position; on the path only", "hindsight"),
-    Column("hand_distance", "float", "m", "signed distance of the hand's nearest link to the object", "hindsight"),
+    Column(
+        "hand_distance",
+        "float",
+        "m",
+        "signed distance of the hand's nearest link to the object",
+        "hindsight",
+    ),
     Column("hand_link", "str", "", "that link", "hindsight"),
 )
 TIMINGS: tuple[Column, ...] = (
     Column("trial", "str", "", "id", "timing"),
     Column("frame", "int", "", "index in the trial", "timing"),
-    Column("stage", "str", "", "read (container and decoding), tracking, registration, …", "timing"),
+    Column(
+        "stage", "str", "", "read (container and decoding), tracking, registration, …", "timing"
+    ),
     Column("seconds", "float", "s", "wall time", "timing"),
 )
 
@@ -143,7 +240,10 @@ class StageDigests:
     """SHA-256 per stage over its version-1 frame columns, fed row by row."""
 
     def __init__(self) -> None:
-        self._stages = {stage: ColumnDigest({c.name: c.kind for c in FRAMES if c.stage == stage}) for stage in STAGES}
+        self._stages = {
+            stage: ColumnDigest({c.name: c.kind for c in FRAMES if c.stage == stage})
+            for stage in STAGES
+        }
 
     def add(self, row: Mapping[str, Any]) -> None:
         for digest in self._stages.values():
@@ -158,7 +258,10 @@ def arrow_schema(columns: Sequence[Column]) -> Any:
     import pyarrow as pa
 
     types = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_(), "str": pa.string()}
-    fields = [pa.field(c.name, types[c.kind], metadata={"unit": c.unit, "meaning": c.meaning}) for c in columns]
+    fields = [
+        pa.field(c.name, types[c.kind], metadata={"unit": c.unit, "meaning": c.meaning})
+        for c in columns
+    ]
     return pa.schema(fields, metadata={"dgeval_schema_version": str(SCHEMA_VERSION)})
 
 
@@ -166,4 +269,6 @@ def arrow_table(columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) ->
     """A pyarrow table of the rows; a missing key is a null."""
     import pyarrow as pa
 
-    return pa.Table.from_pylist([{c.name: row.get(c.name) for c in columns} for row in rows], schema=arrow_schema(columns))
+    return pa.Table.from_pylist(
+        [{c.name: row.get(c.name) for c in columns} for row in rows], schema=arrow_schema(columns)
+    )

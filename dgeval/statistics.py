@@ -22,7 +22,9 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> tuple[float, flo
     return float(interval.low), float(interval.high)
 
 
-def confusion(truth: Sequence[str], said: Sequence[str], classes: Sequence[str]) -> NDArray[np.int64]:
+def confusion(
+    truth: Sequence[str], said: Sequence[str], classes: Sequence[str]
+) -> NDArray[np.int64]:
     """Counts (n, n), rows truth, columns verdict; what is said outside the classes is left out."""
     out = np.zeros((len(classes), len(classes)), dtype=np.int64)
     for a, b in zip(truth, said, strict=True):
@@ -31,7 +33,9 @@ def confusion(truth: Sequence[str], said: Sequence[str], classes: Sequence[str])
     return out
 
 
-def macro_f1(truth: Sequence[str], said: Sequence[str], classes: Sequence[str], seed: int = 0) -> tuple[float, float, float]:
+def macro_f1(
+    truth: Sequence[str], said: Sequence[str], classes: Sequence[str], seed: int = 0
+) -> tuple[float, float, float]:
     """Mean F1 over the classes that occur, with its 95 % bootstrap interval over trials; an abstention counts as wrong."""
     a, b = np.array(truth), np.array(said)
     rng = generator(seed, "bootstrap", 0)
@@ -55,4 +59,10 @@ def _f1(truth: NDArray[np.str_], said: NDArray[np.str_], classes: Sequence[str])
 def calibration_error(p: Array, correct: NDArray[np.bool_], bins: int = 10) -> float:
     """Expected calibration error of stated probabilities (n,) of having been right, in equal bins."""
     k = np.minimum((p * bins).astype(int), bins - 1)
-    return float(sum(abs(p[k == b].mean() - correct[k == b].mean()) * (k == b).mean() for b in range(bins) if (k == b).any()))
+    return float(
+        sum(
+            abs(p[k == b].mean() - correct[k == b].mean()) * (k == b).mean()
+            for b in range(bins)
+            if (k == b).any()
+        )
+    )

@@ -24,8 +24,17 @@ def page() -> str:
         ("timings.parquet", TIMINGS),
     )
     for title, columns in tables:
-        parts += ["", f"## {title}", "", "| column | type | unit | stage | meaning |", "|---|---|---|---|---|"]
-        parts += [f"| `{c.name}` | {c.kind} | {c.unit or '–'} | {c.stage} | {c.meaning} |" for c in columns]
+        parts += [
+            "",
+            f"## {title}",
+            "",
+            "| column | type | unit | stage | meaning |",
+            "|---|---|---|---|---|",
+        ]
+        parts += [
+            f"| `{c.name}` | {c.kind} | {c.unit or '–'} | {c.stage} | {c.meaning} |"
+            for c in columns
+        ]
     return "\n".join(parts) + "\n"
 
 

@@ -46,7 +46,9 @@ def dgeval() -> Callable[..., subprocess.CompletedProcess[str]]:
 
 @pytest.fixture(scope="session")
 def demo_run(
-    demo: Path, dgeval: Callable[..., subprocess.CompletedProcess[str]], tmp_path_factory: pytest.TempPathFactory
+    demo: Path,
+    dgeval: Callable[..., subprocess.CompletedProcess[str]],
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> Path:
     """A finished run of the demo recording, with its review."""
     out = tmp_path_factory.mktemp("run") / "demo"

@@ -77,7 +77,9 @@ def hashes(value: Any) -> tuple[str, str]:
 def of_table(table: pd.DataFrame) -> dict[str, Any]:
     """Columns that hold anything, as lists."""
     table = table[[c for c in table.columns if table[c].notna().any()]]
-    return {c: table[c].astype(object).where(table[c].notna(), None).tolist() for c in table.columns}
+    return {
+        c: table[c].astype(object).where(table[c].notna(), None).tolist() for c in table.columns
+    }
 
 
 def cli(*arguments: object) -> str:
@@ -85,7 +87,9 @@ def cli(*arguments: object) -> str:
     command = [sys.executable, "-m", "dgeval", *map(str, arguments)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode not in (0, 3):
-        raise SystemExit(f"dgeval {' '.join(map(str, arguments))}: exit {done.returncode}\n{done.stderr[-2000:]}")
+        raise SystemExit(
+            f"dgeval {' '.join(map(str, arguments))}: exit {done.returncode}\n{done.stderr[-2000:]}"
+        )
     return done.stdout
 
 
@@ -98,7 +102,9 @@ def replayed(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
         head, *trials = SMOKE.read_text().split("[[trial]]")
         trials = [t for t in trials if any(f'"{r.name}"' in t for r in recordings)]
         manifest = work / "few.toml"
-        text = "[[trial]]".join([head, *trials]).replace('recording = "', f'recording = "{SMOKE.parent}/')
+        text = "[[trial]]".join([head, *trials]).replace(
+            'recording = "', f'recording = "{SMOKE.parent}/'
+        )
         manifest.write_text(text)
     for arm, options in ARMS.items():
         out = work / arm
@@ -135,7 +141,17 @@ def judged(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
         found = 0
         while found < wanted:
             jobs = [
-                Job("failures", FAILURES_SEED, k, "as simulated", 3, ("twin", "geometry"), False, False, False)
+                Job(
+                    "failures",
+                    FAILURES_SEED,
+                    k,
+                    "as simulated",
+                    3,
+                    ("twin", "geometry"),
+                    False,
+                    False,
+                    False,
+                )
                 for k in range(first, first + wanted)
             ]
             for row in pool.map(judge, jobs):
@@ -163,11 +179,19 @@ PARTS: dict[str, Callable[[Path, bool], Iterator[tuple[str, Any]]]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", action="append", choices=list(PARTS), help="a part of it")
-    parser.add_argument("--few", action="store_true", help="a fast look: two recordings, three failures, three trials")
+    parser.add_argument(
+        "--few",
+        action="store_true",
+        help="a fast look: two recordings, three failures, three trials",
+    )
     parser.add_argument("--write", type=Path, help="JSON with the hashes of all parts")
-    parser.add_argument("--against", type=Path, help="JSON of an earlier run; exit 1 where the values differ")
+    parser.add_argument(
+        "--against", type=Path, help="JSON of an earlier run; exit 1 where the values differ"
+    )
     options = parser.parse_args()
     found: dict[str, tuple[str, str]] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -175,7 +199,10 @@ def main() -> None:
             for name, value in PARTS[part](Path(folder), options.few):
                 found[name] = hashes(value)
                 print(f"{found[name][0]} {found[name][1]} {name}", flush=True)
-    values, texts = (hashlib.sha256(json.dumps([(n, found[n][i]) for n in sorted(found)]).encode()).hexdigest() for i in (0, 1))
+    values, texts = (
+        hashlib.sha256(json.dumps([(n, found[n][i]) for n in sorted(found)]).encode()).hexdigest()
+        for i in (0, 1)
+    )
     print(f"values {values}\ntexts  {texts}")
     if options.write is not None:
         options.write.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
@@ -183,7 +210,11 @@ def main() -> None:
         return
     before = json.loads(options.against.read_text())
     mine = {n: b for n, b in before.items() if n in found or not (options.only or options.few)}
-    differs = [n for n in sorted({*mine, *found}) if n not in found or n not in mine or found[n][0] != mine[n][0]]
+    differs = [
+        n
+        for n in sorted({*mine, *found})
+        if n not in found or n not in mine or found[n][0] != mine[n][0]
+    ]
     reworded = [n for n in sorted(found) if n in mine and found[n][1] != mine[n][1]]
     print(f"{len(found)} parts; values differ in {len(differs)}, sentences in {len(reworded)}")
     for kind, names in (("values", differs), ("sentences", reworded)):

@@ -11,10 +11,22 @@ from dgeval.errors import UsageError
 
 def test_defaults_are_the_papers_table_v() -> None:
     c = load_config()
-    assert (c.observation.c_z, c.registration.c_a_f, c.registration.c_a_v, c.registration.c_a_w) == (0.1, 0.8, 4.0, 4.0)
+    assert (
+        c.observation.c_z,
+        c.registration.c_a_f,
+        c.registration.c_a_v,
+        c.registration.c_a_w,
+    ) == (0.1, 0.8, 4.0, 4.0)
     assert (c.fusion.n_s, c.fusion.epsilon, c.execution.c_e) == (5, 0.01, 0.7)
     assert (c.selection.c_m_s, c.selection.c_m_t, c.selection.c_m_r) == (1.0, -0.1, -0.2)
-    assert (c.servo.c_O, c.servo.c_G, c.servo.c_p_v, c.servo.c_d_v, c.servo.c_p_w, c.servo.c_d_w) == (0.2, 0.05, 1, 2, 2.5, 5)
+    assert (
+        c.servo.c_O,
+        c.servo.c_G,
+        c.servo.c_p_v,
+        c.servo.c_d_v,
+        c.servo.c_p_w,
+        c.servo.c_d_w,
+    ) == (0.2, 0.05, 1, 2, 2.5, 5)
 
 
 @pytest.mark.parametrize(
@@ -36,7 +48,9 @@ def test_mistakes_are_named(assignment: str, said: str) -> None:
 
 def test_command_line_wins_over_file_over_default(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
-    file.write_text('seed = 3\n[registration]\nmethod = "open3d"\n[fusion]\nn_s = 4\n', encoding="utf-8")
+    file.write_text(
+        'seed = 3\n[registration]\nmethod = "open3d"\n[fusion]\nn_s = 4\n', encoding="utf-8"
+    )
     c = load_config(str(file), ("fusion.n_s=2",))
     assert (c.seed, c.registration.method, c.fusion.n_s, c.fusion.epsilon) == (3, "open3d", 2, 0.01)
 

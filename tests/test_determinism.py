@@ -34,7 +34,9 @@ def test_neighbouring_frames_do_not_share_draws() -> None:
 def test_zero_sign_and_nan_payload_do_not_matter() -> None:
     other_nan = struct.unpack("<d", struct.pack("<Q", 0x7FF8000000000123))[0]
     columns = {"a": "float"}
-    assert digest([{"a": 0.0}, {"a": math.nan}], columns) == digest([{"a": -0.0}, {"a": other_nan}], columns)
+    assert digest([{"a": 0.0}, {"a": math.nan}], columns) == digest(
+        [{"a": -0.0}, {"a": other_nan}], columns
+    )
 
 
 def test_null_is_neither_zero_nor_empty_text() -> None:
@@ -60,7 +62,10 @@ def test_a_change_shows_in_its_own_stage_only() -> None:
         d.add(row)
         return d.hexdigests()
 
-    before, after = stages({"frame": 0, "velocity_x": 0.1}), stages({"frame": 0, "velocity_x": 0.1 + 1e-15})
+    before, after = (
+        stages({"frame": 0, "velocity_x": 0.1}),
+        stages({"frame": 0, "velocity_x": 0.1 + 1e-15}),
+    )
     assert {s for s in STAGES if before[s] != after[s]} == {"estimation"}
     added = {"frame": 0, "velocity_x": 0.1, **{c.name: 1 for c in FRAMES_ADDED}}
     assert stages(added) == before

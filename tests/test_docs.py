@@ -16,7 +16,13 @@ def test_columns_page_is_made_from_the_schema() -> None:
 
 def test_readme_names_only_what_exists() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    for name in ("docs/review.jpg", "docs/report.png", "docs/columns.md", "docs/simulated.jpg", "datasets/demo.mcap"):
+    for name in (
+        "docs/review.jpg",
+        "docs/report.png",
+        "docs/columns.md",
+        "docs/simulated.jpg",
+        "datasets/demo.mcap",
+    ):
         assert name in text
         assert (ROOT / name).is_file()
 
@@ -27,7 +33,10 @@ def test_committed_recordings_stay_small() -> None:
 
 def test_every_dependency_is_pinned_for_ci() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    pins = {line.split("==")[0].lower().replace("_", "-") for line in (ROOT / "constraints.txt").read_text().splitlines()}
+    pins = {
+        line.split("==")[0].lower().replace("_", "-")
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+    }
     for wanted in project["dependencies"]:
         name = wanted.split(";")[0].split(">")[0].split("=")[0].strip().lower().replace("_", "-")
         assert name in pins or name == "open3d", name

@@ -52,7 +52,12 @@ def test_every_command_has_the_boundary() -> None:
     ],
 )
 def test_an_unforeseen_error_is_one_line_exit_4_and_a_traceback_in_the_log(
-    monkeypatch: pytest.MonkeyPatch, demo_run: Path, demo: Path, tmp_path: Path, place: str, arguments: tuple[str, ...]
+    monkeypatch: pytest.MonkeyPatch,
+    demo_run: Path,
+    demo: Path,
+    tmp_path: Path,
+    place: str,
+    arguments: tuple[str, ...],
 ) -> None:
     run = tmp_path / "run"
     run.mkdir()
@@ -66,7 +71,9 @@ def test_an_unforeseen_error_is_one_line_exit_4_and_a_traceback_in_the_log(
     assert done.exit_code == 4, done.output
     lines = done.stderr.splitlines()
     assert len(lines) == 1
-    assert lines[0].startswith("error: internal error: KeyError: 'nobody foresaw this' at test_errors.py:")
+    assert lines[0].startswith(
+        "error: internal error: KeyError: 'nobody foresaw this' at test_errors.py:"
+    )
     log = Path(lines[0].split("the traceback is in ")[1])
     assert log.is_relative_to(tmp_path)
     entry = json.loads(log.read_text().splitlines()[-1])
@@ -92,7 +99,11 @@ def test_a_log_that_cannot_be_written_goes_elsewhere(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("error", "code", "message"),
     [
-        (UsageError("no such scenario", Place("x.toml"), "try static"), 2, "error: no such scenario; try static [file x.toml]"),
+        (
+            UsageError("no such scenario", Place("x.toml"), "try static"),
+            2,
+            "error: no such scenario; try static [file x.toml]",
+        ),
         (PermissionError(13, "denied", "locked.mcap"), 2, "error: no permission (locked.mcap)"),
     ],
 )
@@ -114,7 +125,9 @@ def _single(function: Callable[[], None]) -> Any:
     return one
 
 
-def test_a_crashed_trial_has_its_traceback_in_the_log(monkeypatch: pytest.MonkeyPatch, demo: Path, tmp_path: Path) -> None:
+def test_a_crashed_trial_has_its_traceback_in_the_log(
+    monkeypatch: pytest.MonkeyPatch, demo: Path, tmp_path: Path
+) -> None:
     monkeypatch.setattr("dgeval.runs.trial_job.open_trial", broken)
     config = load_config("dynamic", ())
     result = replay_trial(TrialSpec("a", demo), config, tmp_path, None, True)
@@ -124,11 +137,15 @@ def test_a_crashed_trial_has_its_traceback_in_the_log(monkeypatch: pytest.Monkey
     assert "nobody foresaw this" in entries[1]["traceback"]
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["config", "show"], ["inspect", "DEMO", "--json"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["config", "show"], ["inspect", "DEMO", "--json"]]
+)
 def test_a_closed_pipe_is_quiet(demo: Path, arguments: list[str]) -> None:
     words = [str(demo) if a == "DEMO" else a for a in arguments]
     command = [sys.executable, "-m", "dgeval", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.close()

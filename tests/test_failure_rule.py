@@ -39,7 +39,9 @@ def test_two_other_closes_in_a_row_are_timing(good: tuple[float, ...], expected:
 
 def test_a_lucky_tick_is_no_window() -> None:
     assert classify(facts(curve=curve(0.09))) == Verdict("imprecise_pose", "missed")
-    assert classify(facts(curve=curve(-0.3, -0.03, 0.03, 0.3))) == Verdict("imprecise_pose", "missed"), "the real one failed"
+    assert classify(facts(curve=curve(-0.3, -0.03, 0.03, 0.3))) == Verdict(
+        "imprecise_pose", "missed"
+    ), "the real one failed"
 
 
 def test_a_push_is_a_collision_only_if_it_mattered() -> None:
@@ -49,8 +51,12 @@ def test_a_push_is_a_collision_only_if_it_mattered() -> None:
     assert classify(facts(**moved, put_back=False)) == Verdict("imprecise_pose", "missed")
     late = classify(facts(**moved, put_back=False, curve=curve(-0.15, -0.12)))
     assert late == Verdict("timing", "late", -0.12), "a late close after harmless pushing"
-    assert classify(facts(**moved, put_back=True, curve=curve(-0.15, -0.12))) == Verdict("collision", "displaced")
-    assert classify(facts(displacement_deg=6.0, put_back=True)) == Verdict("collision", "displaced"), "turning counts"
+    assert classify(facts(**moved, put_back=True, curve=curve(-0.15, -0.12))) == Verdict(
+        "collision", "displaced"
+    )
+    assert classify(facts(displacement_deg=6.0, put_back=True)) == Verdict(
+        "collision", "displaced"
+    ), "turning counts"
 
 
 def test_overlap_proves_nothing() -> None:
@@ -60,7 +66,9 @@ def test_overlap_proves_nothing() -> None:
     assert classify(facts(**inside, free_pose=True)) == Verdict("collision", "displaced")
     assert classify(facts(**inside, free_pose=False)) == Verdict("imprecise_pose", "missed")
     assert classify(facts(**inside, curve=curve(-0.36, -0.33))) == Verdict("timing", "late", -0.33)
-    assert classify(facts(**inside, curve=curve(-0.15, -0.12))) == Needs("free_pose"), "closes after the contact don't count"
+    assert classify(facts(**inside, curve=curve(-0.15, -0.12))) == Needs("free_pose"), (
+        "closes after the contact don't count"
+    )
 
 
 def test_never_closed() -> None:
@@ -76,5 +84,9 @@ def test_never_closed() -> None:
 def test_thresholds_are_settings() -> None:
     near = facts(displacement_m=0.0055, put_back=True)
     assert classify(near) == Verdict("collision", "displaced")
-    assert classify(near, Thresholds().scaled("moved_m", 1.2)) == Verdict("imprecise_pose", "missed")
-    assert classify(facts(displacement_m=0.005), Thresholds()) == Verdict("imprecise_pose", "missed"), "strictly more than"
+    assert classify(near, Thresholds().scaled("moved_m", 1.2)) == Verdict(
+        "imprecise_pose", "missed"
+    )
+    assert classify(facts(displacement_m=0.005), Thresholds()) == Verdict(
+        "imprecise_pose", "missed"
+    ), "strictly more than"

@@ -33,7 +33,9 @@ def test_pose_and_matrix_are_inverse(pose: np.ndarray) -> None:
 
 def test_quaternion_order_is_xyzw() -> None:
     quarter_about_z = np.array([0, 0, 0, 0, 0, np.sqrt(0.5), np.sqrt(0.5)])
-    assert np.allclose(g.transform(g.matrix_from_pose(quarter_about_z), np.array([[1.0, 0, 0]])), [[0, 1, 0]])
+    assert np.allclose(
+        g.transform(g.matrix_from_pose(quarter_about_z), np.array([[1.0, 0, 0]])), [[0, 1, 0]]
+    )
 
 
 @given(poses(), poses())

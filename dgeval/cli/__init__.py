@@ -41,9 +41,15 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(help="Exit codes: " + " · ".join(f"{code} {meaning}" for code, meaning in EXIT_CODES.items()) + ".")
+@app.callback(
+    help="Exit codes: "
+    + " · ".join(f"{code} {meaning}" for code, meaning in EXIT_CODES.items())
+    + "."
+)
 def options(
-    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
 ) -> None:
     pass
 

@@ -41,7 +41,9 @@ def command(function: Callable[P, R]) -> Callable[P, R]:
             raise _exit(f"no permission ({error.filename})", EXIT_USAGE, as_json) from None
         except Exception as error:  # the boundary of the program
             log = write_traceback(error, function.__name__, _folder(kwargs))
-            raise _exit(f"internal error: {_told(error)}; the traceback is in {log}", EXIT_INTERNAL, as_json) from None
+            raise _exit(
+                f"internal error: {_told(error)}; the traceback is in {log}", EXIT_INTERNAL, as_json
+            ) from None
 
     return run
 
@@ -71,7 +73,13 @@ def _folder(kwargs: dict[str, Any]) -> Path | None:
 
 def write_traceback(error: BaseException, name: str, folder: Path | None) -> Path:
     """Append a traceback to `log.jsonl` of a folder, or of a new temporary one; returns the file."""
-    line = json.dumps({"command": name, "error": _told(error), "traceback": "".join(traceback.format_exception(error))})
+    line = json.dumps(
+        {
+            "command": name,
+            "error": _told(error),
+            "traceback": "".join(traceback.format_exception(error)),
+        }
+    )
     if folder is not None:
         try:
             folder.mkdir(parents=True, exist_ok=True)

@@ -23,8 +23,12 @@ A success that turns into a failure in five of five changed trials is no proof y
 def compare(
     old: Annotated[Path, typer.Argument(help="Run folder to compare against.", metavar="A")],
     new: Annotated[Path, typer.Argument(help="Run folder of the change.", metavar="B")],
-    out: Annotated[Path | None, typer.Option(help="Folder for compare.html, compare.md and compare.json.")] = None,
-    json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for compare.html, compare.md and compare.json.")
+    ] = None,
+    json_: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
 ) -> None:
     """Where two runs first differ, what that led to, and whether the replay is better or worse, trial by trial.
 

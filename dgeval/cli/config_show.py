@@ -16,7 +16,10 @@ def main() -> None:
     """Parameters of the pipelines."""
 
 
-@app.command("show", epilog="`dgeval config show --set fusion.n_s=3 > mine.toml` makes a file for `--pipeline`.")
+@app.command(
+    "show",
+    epilog="`dgeval config show --set fusion.n_s=3 > mine.toml` makes a file for `--pipeline`.",
+)
 @command
 def show(
     pipeline: Annotated[str, typer.Option(help="dynamic, or a FILE.toml.")] = "dynamic",

@@ -19,9 +19,13 @@ Examples:
 @command
 def inspect(
     path: Annotated[Path, typer.Argument(help="A recording.")],
-    pipeline: Annotated[str, typer.Option(help="dynamic, or a FILE.toml whose roles and clocks apply.")] = "dynamic",
+    pipeline: Annotated[
+        str, typer.Option(help="dynamic, or a FILE.toml whose roles and clocks apply.")
+    ] = "dynamic",
     set_: Annotated[list[str] | None, typer.Option("--set", help="section.key=value.")] = None,
-    json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+    json_: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
 ) -> None:
     """Topics, roles found and missing, rates, gaps, colour–depth skew, clocks, damage; what can and can't be answered."""
     from dgeval.config import load_config
@@ -42,16 +46,27 @@ def inspect(
 def _print(found: dict[str, Any]) -> None:
     typer.echo(f"{found['file']}: {found['kind']}, {found['bytes'] / 1e6:.1f} MB")
     typer.echo(f"checksums: {found['checksums']}")
-    typer.echo("damage: " + (f"{len(found['damage'])} found, told above" if found["damage"] else "none found"))
+    typer.echo(
+        "damage: "
+        + (f"{len(found['damage'])} found, told above" if found["damage"] else "none found")
+    )
     typer.echo("topics:")
     for t in found["topics"]:
-        rate = f"{t['rate_hz']:.1f} Hz, largest gap {t['largest_gap_s']:.3f} s" if t.get("rate_hz") else ""
+        rate = (
+            f"{t['rate_hz']:.1f} Hz, largest gap {t['largest_gap_s']:.3f} s"
+            if t.get("rate_hz")
+            else ""
+        )
         image = f"  {t['image']} frame {t['frame_id']}" if "image" in t else ""
         bad = f"  {t['undecodable']} undecodable" if t.get("undecodable") else ""
         typer.echo(f"  {t['count']:6d}  {t['name']}  ({t['type']})  {rate}{image}{bad}")
-        if t.get("jitter_s") is not None and (abs(t["recorder_delay_s"]) > 0.001 or abs(t["drift_ppm"]) > 20):
+        if t.get("jitter_s") is not None and (
+            abs(t["recorder_delay_s"]) > 0.001 or abs(t["drift_ppm"]) > 20
+        ):
             delay = f"recorder {t['recorder_delay_s']:+.4f} s after the header stamp"
-            typer.echo(f"          {delay}, drift {t['drift_ppm']:+.0f} ppm, jitter {t['jitter_s']:.4f} s")
+            typer.echo(
+                f"          {delay}, drift {t['drift_ppm']:+.0f} ppm, jitter {t['jitter_s']:.4f} s"
+            )
     typer.echo("roles:")
     for role, value in found["roles"].items():
         if role != "passed_over":

@@ -25,14 +25,28 @@ baseline · 4 internal error.
 def regress(
     dataset: Annotated[Path, typer.Argument(help="Manifest (.toml), recording or folder.")],
     baseline: Annotated[Path, typer.Option(help="Baseline file, as --update writes it.")],
-    out: Annotated[Path, typer.Option(help="Folder of the run, junit.xml, regress.md, regress.html.")] = Path("runs/regress"),
-    pipeline: Annotated[str, typer.Option(help="dynamic, or a FILE.toml with its parameters.")] = "dynamic",
-    set_: Annotated[list[str] | None, typer.Option("--set", help="section.key=value, to try a change.")] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the run, junit.xml, regress.md, regress.html.")
+    ] = Path("runs/regress"),
+    pipeline: Annotated[
+        str, typer.Option(help="dynamic, or a FILE.toml with its parameters.")
+    ] = "dynamic",
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="section.key=value, to try a change.")
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
-    update: Annotated[bool, typer.Option(help="Write the baseline instead of comparing. Never passes.")] = False,
-    reason: Annotated[str | None, typer.Option(help="Why the baseline is written; kept in it.")] = None,
-    fail_on: Annotated[str | None, typer.Option(help="`inconclusive`: that, and facts told differently, fail too.")] = None,
-    json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+    update: Annotated[
+        bool, typer.Option(help="Write the baseline instead of comparing. Never passes.")
+    ] = False,
+    reason: Annotated[
+        str | None, typer.Option(help="Why the baseline is written; kept in it.")
+    ] = None,
+    fail_on: Annotated[
+        str | None, typer.Option(help="`inconclusive`: that, and facts told differently, fail too.")
+    ] = None,
+    json_: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
 ) -> None:
     """Replay a data set and hold it against a baseline: bytes first, then tolerances, then statistics over trials."""
     import json
@@ -45,7 +59,15 @@ def regress(
     from dgeval.errors import EXIT_OK, UsageError
     from dgeval.recording.containers.container import sha256_of
     from dgeval.recording.manifest import find_trials
-    from dgeval.regress import UNDECIDED, check_dataset, check_recordings, gate, junit, read_baseline, write_baseline
+    from dgeval.regress import (
+        UNDECIDED,
+        check_dataset,
+        check_recordings,
+        gate,
+        junit,
+        read_baseline,
+        write_baseline,
+    )
     from dgeval.runs.files import file_name, write_atomically
     from dgeval.runs.folder import finish_run
     from dgeval.runs.results import read_run
@@ -54,7 +76,9 @@ def regress(
     if fail_on not in (None, "inconclusive"):
         raise UsageError(f"--fail-on {fail_on!r}", hint="inconclusive is the only choice")
     if update and not reason:
-        raise UsageError("--update needs --reason", hint="say in a sentence why the results may change")
+        raise UsageError(
+            "--update needs --reason", hint="say in a sentence why the results may change"
+        )
     if reason and not update:
         raise UsageError("--reason is for --update")
     config = load_config(pipeline, tuple(set_ or ()))
@@ -67,15 +91,22 @@ def regress(
                 typer.echo(f"{result.id}: {message}", err=True)
 
         # never what lies there from before: code that changed under the same version is what the gate is for
-        return finish_run(out, replay_trials(specs, config, out, None, True, jobs, on_result), config)
+        return finish_run(
+            out, replay_trials(specs, config, out, None, True, jobs, on_result), config
+        )
 
     if update:
         _refuse_uncommitted()
         code = replay()
         if code != EXIT_OK:
-            raise UsageError("no baseline is made from a run in which something was lost", hint=f"see {out / 'log.jsonl'}")
+            raise UsageError(
+                "no baseline is made from a run in which something was lost",
+                hint=f"see {out / 'log.jsonl'}",
+            )
         write_baseline(baseline, out, name, specs, str(reason))
-        typer.echo(f"baseline written: {baseline}; commit it, and run again to check against it", err=json_)
+        typer.echo(
+            f"baseline written: {baseline}; commit it, and run again to check against it", err=json_
+        )
         if json_:
             print_json({"baseline": str(baseline), "written": True, "reason": reason})
         raise typer.Exit(1)
@@ -90,7 +121,10 @@ def regress(
         for d in c.differences:
             if not d.within:
                 write_difference(
-                    out / "changed" / f"{file_name(d.trial)}.rrd", before.frames(d.trial), c.new.frames(d.trial), d
+                    out / "changed" / f"{file_name(d.trial)}.rrd",
+                    before.frames(d.trial),
+                    c.new.frames(d.trial),
+                    d,
                 )
         write_atomically(out / "junit.xml", junit(c, passed, said, name))
         page = as_markdown(c)
@@ -107,7 +141,9 @@ def regress(
         for r in c.results:
             if r.answer in ("worse", "inconclusive", "better"):
                 settle = f"; some {r.needed} trials would settle it" if r.needed else ""
-                typer.echo(f"  {r.metric.name}: {r.answer}, {r.old:.4g} -> {r.new:.4g} {r.metric.unit}, p = {r.p:.3f}{settle}")
+                typer.echo(
+                    f"  {r.metric.name}: {r.answer}, {r.old:.4g} -> {r.new:.4g} {r.metric.unit}, p = {r.p:.3f}{settle}"
+                )
         if c.differences:
             typer.echo(f"look: {out / 'regress.html'}")
     if c.conclusion in UNDECIDED:
@@ -122,9 +158,14 @@ def _refuse_uncommitted() -> None:
     from dgeval.errors import UsageError
 
     try:
-        found = subprocess.run(["git", "status", "--porcelain"], capture_output=True, text=True, check=False)
+        found = subprocess.run(
+            ["git", "status", "--porcelain"], capture_output=True, text=True, check=False
+        )
     except FileNotFoundError:
         return
     if found.returncode == 0 and found.stdout.strip():
         first = found.stdout.splitlines()[0].strip()
-        raise UsageError(f"there are uncommitted changes ({first}, …)", hint="commit first: a baseline belongs to a commit")
+        raise UsageError(
+            f"there are uncommitted changes ({first}, …)",
+            hint="commit first: a baseline belongs to a commit",
+        )

@@ -21,18 +21,41 @@ Examples:
 
 @command
 def replay(
-    paths: Annotated[list[Path], typer.Argument(help="Recordings, folders of recordings, manifests (.toml).", metavar="PATH…")],
-    out: Annotated[Path, typer.Option(help="Run folder. A finished trial in it is not done again.")] = Path("runs/latest"),
-    pipeline: Annotated[str, typer.Option(help="dynamic, vfas, or a FILE.toml with its parameters.")] = "dynamic",
-    set_: Annotated[list[str] | None, typer.Option("--set", help="section.key=value; see `dgeval config show`.")] = None,
-    bbox: Annotated[str | None, typer.Option(help="Target box x0,y0,x1,y1 in px. Needs exactly one trial.")] = None,
-    bbox_time: Annotated[int | None, typer.Option(help="Time of the box, ns; default: the first frame.")] = None,
-    frames: Annotated[str | None, typer.Option(help="A:B, paired frames to use. Needs exactly one trial.")] = None,
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Recordings, folders of recordings, manifests (.toml).", metavar="PATH…"
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Run folder. A finished trial in it is not done again.")
+    ] = Path("runs/latest"),
+    pipeline: Annotated[
+        str, typer.Option(help="dynamic, vfas, or a FILE.toml with its parameters.")
+    ] = "dynamic",
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="section.key=value; see `dgeval config show`.")
+    ] = None,
+    bbox: Annotated[
+        str | None, typer.Option(help="Target box x0,y0,x1,y1 in px. Needs exactly one trial.")
+    ] = None,
+    bbox_time: Annotated[
+        int | None, typer.Option(help="Time of the box, ns; default: the first frame.")
+    ] = None,
+    frames: Annotated[
+        str | None, typer.Option(help="A:B, paired frames to use. Needs exactly one trial.")
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
-    review: Annotated[bool, typer.Option("--review/--no-review", help="Write a Rerun recording per trial.")] = True,
-    check_determinism: Annotated[bool, typer.Option(help="Replay twice, compare the digests of every stage.")] = False,
+    review: Annotated[
+        bool, typer.Option("--review/--no-review", help="Write a Rerun recording per trial.")
+    ] = True,
+    check_determinism: Annotated[
+        bool, typer.Option(help="Replay twice, compare the digests of every stage.")
+    ] = False,
     force: Annotated[bool, typer.Option(help="Do finished trials again.")] = False,
-    json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output, nothing else.")] = False,
+    json_: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output, nothing else.")
+    ] = False,
 ) -> None:
     """Replay recordings through the perception and control stages and write tables and review recordings."""
     from dgeval.config import load_config
@@ -44,7 +67,10 @@ def replay(
     config = load_config(pipeline, tuple(set_ or ()))
     specs = find_trials(paths, config.roles.events)
     if (bbox or frames or bbox_time) and len(specs) != 1:
-        raise UsageError(f"--bbox and --frames need exactly one trial, there are {len(specs)}", hint="use a manifest")
+        raise UsageError(
+            f"--bbox and --frames need exactly one trial, there are {len(specs)}",
+            hint="use a manifest",
+        )
     if bbox:
         specs = [with_fields(specs[0], bbox=_numbers(bbox, 4, "--bbox"), bbox_time_ns=bbox_time)]
     if frames:
@@ -61,7 +87,14 @@ def replay(
         writer = ReviewWriter
     with _progress(len(specs)) as bar:
         results = replay_trials(
-            specs, config, out, writer, force, jobs, on_result=_both(on_result, bar.trial), progress=bar.frame
+            specs,
+            config,
+            out,
+            writer,
+            force,
+            jobs,
+            on_result=_both(on_result, bar.trial),
+            progress=bar.frame,
         )
     code = finish_run(out, results, config)
     if check_determinism:
@@ -71,7 +104,10 @@ def replay(
             {
                 "run": str(out),
                 "exit_code": code,
-                "trials": [{**(r.row or {"trial": r.id}), "exit_code": r.exit_code, "messages": r.messages} for r in results],
+                "trials": [
+                    {**(r.row or {"trial": r.id}), "exit_code": r.exit_code, "messages": r.messages}
+                    for r in results
+                ],
             }
         )
     else:
@@ -88,7 +124,9 @@ def _check(specs: Any, config: Any, jobs: int, results: Any) -> None:
     from dgeval.schema import STAGES
 
     with tempfile.TemporaryDirectory() as folder:
-        again = replay_trials(specs, config, Path(folder), None, True, jobs, on_result=lambda _: None)
+        again = replay_trials(
+            specs, config, Path(folder), None, True, jobs, on_result=lambda _: None
+        )
     for first, second in zip(results, again, strict=True):
         if (first.row is None) != (second.row is None):
             raise NotDeterministicError(f"trial {first.id} could be replayed once only")
@@ -96,7 +134,9 @@ def _check(specs: Any, config: Any, jobs: int, results: Any) -> None:
             continue
         for stage in STAGES:
             if first.row[f"digest_{stage}"] != second.row[f"digest_{stage}"]:
-                raise NotDeterministicError(f"trial {first.id}: stage {stage} gave other results the second time")
+                raise NotDeterministicError(
+                    f"trial {first.id}: stage {stage} gave other results the second time"
+                )
     typer.echo("determinism: every stage of every trial gave the same bytes twice", err=True)
 
 
@@ -117,7 +157,9 @@ def _print_summary(out: Path, results: Any, review: bool) -> None:
             typer.echo(f"  review: {size}")
     typer.echo(f"tables: {out}")
     if review and any(r.row for r in results):
-        typer.echo(f"look: dgeval view {out} {next(r.id for r in results if r.row)}    dgeval report {out}")
+        typer.echo(
+            f"look: dgeval view {out} {next(r.id for r in results if r.row)}    dgeval report {out}"
+        )
 
 
 def _numbers(text: str, count: int, option: str) -> Any:
@@ -159,7 +201,9 @@ class _progress:
         from rich.console import Console
         from rich.progress import Progress
 
-        self._bar = Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
+        self._bar = Progress(
+            console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True
+        )
         self._bar.start()
         self._trials = self._bar.add_task("trials", total=self._n, visible=self._n > 1)
         self._frames = self._bar.add_task("frames", total=None)

@@ -20,11 +20,18 @@ Examples:
 @command
 def report(
     runs: Annotated[list[Path], typer.Argument(help="Run folders.", metavar="RUN…")],
-    out: Annotated[Path | None, typer.Option(help="Folder for report.html; default: the first run folder.")] = None,
-    truth: Annotated[
-        list[Path] | None, typer.Option(help="Simulated recordings or manifests with /truth to score the verdicts against.")
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for report.html; default: the first run folder.")
     ] = None,
-    json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+    truth: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Simulated recordings or manifests with /truth to score the verdicts against."
+        ),
+    ] = None,
+    json_: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
 ) -> None:
     """Success with intervals, causes of failure, pictures and plots of finished runs, in one HTML file that needs no network.
 

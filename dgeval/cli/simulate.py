@@ -27,17 +27,36 @@ def simulate(
             "vfas-handover, a FILE.toml, or a manifest."
         ),
     ],
-    out: Annotated[Path | None, typer.Option(help="Folder; finished trials in it are kept. Default runs/SCENARIO.")] = None,
-    trials: Annotated[int | None, typer.Option(min=1, help="Number of trials; default: the scenario's.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder; finished trials in it are kept. Default runs/SCENARIO."),
+    ] = None,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Number of trials; default: the scenario's.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Another seed, other trials.")] = 0,
-    jobs: Annotated[int, typer.Option(min=1, help="Worker processes; results don't depend on it.")] = 1,
-    meshes: Annotated[Path | None, typer.Option(help="Folder of meshes (m, z up) in place of the ten objects.")] = None,
-    format_: Annotated[str, typer.Option("--format", help="mcap, bag (ROS 1) or db3 (ROS 2 folder).")] = "mcap",
-    blame: Annotated[bool, typer.Option("--blame", help="Find the injected fault whose removal restores success.")] = False,
+    jobs: Annotated[
+        int, typer.Option(min=1, help="Worker processes; results don't depend on it.")
+    ] = 1,
+    meshes: Annotated[
+        Path | None, typer.Option(help="Folder of meshes (m, z up) in place of the ten objects.")
+    ] = None,
+    format_: Annotated[
+        str, typer.Option("--format", help="mcap, bag (ROS 1) or db3 (ROS 2 folder).")
+    ] = "mcap",
+    blame: Annotated[
+        bool,
+        typer.Option("--blame", help="Find the injected fault whose removal restores success."),
+    ] = False,
     images: Annotated[
-        bool, typer.Option("--images/--no-images", help="Render and write recordings, or the truth alone.")
+        bool,
+        typer.Option(
+            "--images/--no-images", help="Render and write recordings, or the truth alone."
+        ),
     ] = True,
-    json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output, nothing else.")] = False,
+    json_: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output, nothing else.")
+    ] = False,
 ) -> None:
     """Simulate grasping trials with faults on purpose; write recordings, what is true of them, and a manifest."""
     from dgeval.errors import UsageError
@@ -65,10 +84,20 @@ def simulate(
     wrong = []
     if made_from is not None:
         made = {r["id"]: r["sha256"] for _, r in pairs if r}
-        wrong = [f"{i}: not the recording the manifest names" for i, sha in made_from.sha256.items() if made.get(i, sha) != sha]
+        wrong = [
+            f"{i}: not the recording the manifest names"
+            for i, sha in made_from.sha256.items()
+            if made.get(i, sha) != sha
+        ]
     here = made_from is not None and made_from.platform == platform_name()
     if json_:
-        print_json({"out": str(folder), "trials": [{**t, "recording": r} for t, r in pairs], "differences": wrong})
+        print_json(
+            {
+                "out": str(folder),
+                "trials": [{**t, "recording": r} for t, r in pairs],
+                "differences": wrong,
+            }
+        )
         raise typer.Exit(3 if wrong and here else 0)
     _summary(pairs, folder, loaded.name, images)
     for line in wrong:
@@ -81,7 +110,9 @@ def _summary(pairs: Any, folder: Path, name: str, images: bool) -> None:
     for truth, _ in pairs:
         kind = truth["verdict"]["failure_class"] or "success"
         kinds[kind] = kinds.get(kind, 0) + 1
-    typer.echo(f"{len(pairs)} trials: " + ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())))
+    typer.echo(
+        f"{len(pairs)} trials: " + ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
+    )
     if images:
         size = sum(r["bytes"] for _, r in pairs if r) / 1e6
         typer.echo(f"recordings: {folder} ({size:.0f} MB)")
@@ -101,7 +132,11 @@ def _progress() -> Any:
         if not sys.stderr.isatty():
 
             def line(phase: str, done: int, total: int, result: dict[str, Any]) -> None:
-                what = f": {result['verdict']['failure_class'] or 'success'}" if phase == "simulate" else ""
+                what = (
+                    f": {result['verdict']['failure_class'] or 'success'}"
+                    if phase == "simulate"
+                    else ""
+                )
                 typer.echo(f"{phase} {done}/{total} {result['id']}{what}", err=True)
 
             yield line

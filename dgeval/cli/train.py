@@ -31,21 +31,42 @@ Stopped runs go on where they were. Use what comes out with
 @command
 def train(
     network: Annotated[str, typer.Argument(help="ffhnet, or vfas.")],
-    out: Annotated[Path, typer.Option(help="Folder for grasp data, checkpoints, weights, metrics.")],
+    out: Annotated[
+        Path, typer.Option(help="Folder for grasp data, checkpoints, weights, metrics.")
+    ],
     objects: Annotated[
-        int | None, typer.Option(min=6, help="Procedural objects, 63 or 72; the last nine, at most a third, are held out.")
+        int | None,
+        typer.Option(
+            min=6,
+            help="Procedural objects, 63 or 72; the last nine, at most a third, are held out.",
+        ),
     ] = None,
     tried: Annotated[
-        int, typer.Option(min=12, help="ffhnet: grasps tried in physics per object, sampled, and as many proposed.")
+        int,
+        typer.Option(
+            min=12,
+            help="ffhnet: grasps tried in physics per object, sampled, and as many proposed.",
+        ),
     ] = 240,
-    scenes: Annotated[int, typer.Option(min=1, help="vfas: views per object, each with 24 poses tried in physics.")] = 16,
+    scenes: Annotated[
+        int,
+        typer.Option(min=1, help="vfas: views per object, each with 24 poses tried in physics."),
+    ] = 16,
     views: Annotated[int, typer.Option(min=2, help="ffhnet: clouds per object.")] = 100,
     steps: Annotated[
-        int | None, typer.Option(min=10, help="Of an evaluator, 6500 or 4000; FFHNet's generator takes 16 for every 13.")
+        int | None,
+        typer.Option(
+            min=10, help="Of an evaluator, 6500 or 4000; FFHNet's generator takes 16 for every 13."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of data, weights and batches.")] = 0,
-    jobs: Annotated[int, typer.Option(min=1, help="Worker processes for the physics; results don't depend on it.")] = 1,
-    json_: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
+    jobs: Annotated[
+        int,
+        typer.Option(min=1, help="Worker processes for the physics; results don't depend on it."),
+    ] = 1,
+    json_: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
 ) -> None:
     """Make grasps in physics, train the networks on them, calibrate, and measure on objects held out."""
     from rich.console import Console
@@ -63,10 +84,14 @@ def train(
             if phase not in tasks:
                 tasks[phase] = bar.add_task(phase, total=totals[phase])
             said = ", ".join(f"{k} {v:.3f}" for k, v in terms.items())
-            bar.update(tasks[phase], completed=step, description=f"{phase}: {said}" if said else phase)
+            bar.update(
+                tasks[phase], completed=step, description=f"{phase}: {said}" if said else phase
+            )
 
         if network == "ffhnet":
-            metrics = _ffhnet(out, objects or 63, tried, views, steps or 6500, seed, jobs, totals, progress)
+            metrics = _ffhnet(
+                out, objects or 63, tried, views, steps or 6500, seed, jobs, totals, progress
+            )
         else:
             from dgeval.training.vfas import Settings, train_all
 
@@ -99,7 +124,9 @@ def _ffhnet(
     from dgeval.training.ship import train_all
 
     own = {"generator_steps": steps * 16 // 13, "tune_steps": steps * 5 // 13}
-    totals.update(grasps=objects, generator=own["generator_steps"], evaluator=steps, evaluator_fingers=steps)
+    totals.update(
+        grasps=objects, generator=own["generator_steps"], evaluator=steps, evaluator_fingers=steps
+    )
     totals["tuning"] = own["tune_steps"]
     settings = Settings(views=views, steps=steps, seed=seed, held_out=min(9, objects // 3), **own)
     made = iter(range(1, objects + 1))

@@ -20,7 +20,9 @@ Examples:
 def view(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
     trial: Annotated[str, typer.Argument(help="Trial id.")],
-    path: Annotated[bool, typer.Option("--path", help="Print where the recording is instead of opening it.")] = False,
+    path: Annotated[
+        bool, typer.Option("--path", help="Print where the recording is instead of opening it.")
+    ] = False,
 ) -> None:
     """Open a trial's review recording; it starts at the decisive moment."""
     import subprocess
@@ -33,11 +35,17 @@ def view(
     file = run / "review" / f"{name}.rrd"
     if not file.is_file():
         known = sorted(p.stem for p in (run / "review").glob("*.rrd"))
-        listed = f"reviews here: {', '.join(known)}" if known else "this run was made with --no-review"
+        listed = (
+            f"reviews here: {', '.join(known)}" if known else "this run was made with --no-review"
+        )
         raise UsageError(f"no review of trial {trial!r}", Place(str(run)), listed)
     if path:
         typer.echo(str(file))
         return
     code = subprocess.call([sys.executable, "-m", "rerun", str(file)])
     if code:
-        raise UsageError("the Rerun viewer could not start (no display?)", Place(str(file)), "copy the file to a desktop")
+        raise UsageError(
+            "the Rerun viewer could not start (no display?)",
+            Place(str(file)),
+            "copy the file to a desktop",
+        )

@@ -16,8 +16,19 @@ from dgeval.runs.results import Run
 from dgeval.schema import SCHEMA_VERSION, STAGES
 
 # What the log says about the world. New code should not change it; where it does, one of the two is wrong.
-FACTS = ("outcome", "outcome_source", "failure_class", "sub_cause", "blame", "gap_sided", "n_frames", "t_close_ns")
-Conclusion = Literal["identical", "within tolerance", "better", "same", "inconclusive", "disagreement", "worse"]
+FACTS = (
+    "outcome",
+    "outcome_source",
+    "failure_class",
+    "sub_cause",
+    "blame",
+    "gap_sided",
+    "n_frames",
+    "t_close_ns",
+)
+Conclusion = Literal[
+    "identical", "within tolerance", "better", "same", "inconclusive", "disagreement", "worse"
+]
 
 
 @dataclass(frozen=True)
@@ -62,7 +73,11 @@ class Comparison:
     def first(self) -> TrialDifference | None:
         """The earliest difference of all: by frame, then stage, then trial."""
         beyond = [d for d in self.differences if not d.within] or list(self.differences)
-        return min(beyond, key=lambda d: (d.first.frame, STAGES.index(d.first.stage), d.trial), default=None)
+        return min(
+            beyond,
+            key=lambda d: (d.first.frame, STAGES.index(d.first.stage), d.trial),
+            default=None,
+        )
 
 
 def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
@@ -74,11 +89,17 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
     rows = [run.trials.set_index("trial") for run in (old, new)]
     trials = sorted(set(rows[0].index) & set(rows[1].index))
     if not trials:
-        raise UsageError(f"{old.folder} and {new.folder} have no trial in common", hint="trials are paired by their id")
+        raise UsageError(
+            f"{old.folder} and {new.folder} have no trial in common",
+            hint="trials are paired by their id",
+        )
     differences: list[TrialDifference] = []
     facts: list[tuple[str, str, Any, Any]] = []
     before, after = [], []
-    unchanged = all((rows[0].loc[trials, f"digest_{s}"] == rows[1].loc[trials, f"digest_{s}"]).all() for s in STAGES)
+    unchanged = all(
+        (rows[0].loc[trials, f"digest_{s}"] == rows[1].loc[trials, f"digest_{s}"]).all()
+        for s in STAGES
+    )
     for trial in trials:
         a, b = rows[0].loc[trial], rows[1].loc[trial]
         facts += [(trial, fact, a[fact], b[fact]) for fact in FACTS if not _equal(a[fact], b[fact])]
@@ -94,7 +115,10 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
             if (found := difference(trial, frames, other)) is not None:
                 differences.append(found)
                 after[-1] = trial_metrics(other, hindsight, close_ns)
-    values = tuple({m.name: np.array([row[m.name] for row in side]) for m in METRICS} for side in (before, after))
+    values = tuple(
+        {m.name: np.array([row[m.name] for row in side]) for m in METRICS}
+        for side in (before, after)
+    )
     about = [{"dgeval": run.about["dgeval"], **run.about["fingerprint"]} for run in (old, new)]
     return Comparison(
         old=old,
@@ -112,7 +136,9 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
     )
 
 
-def changed(old: dict[str, Any], new: dict[str, Any], prefix: str = "") -> list[tuple[str, Any, Any]]:
+def changed(
+    old: dict[str, Any], new: dict[str, Any], prefix: str = ""
+) -> list[tuple[str, Any, Any]]:
     """Fields of nested dictionaries that are not equal: dotted name, old and new value (None where there is none)."""
     out = []
     for key in sorted(set(old) | set(new)):

@@ -82,7 +82,9 @@ def difference(trial: str, old: pd.DataFrame, new: pd.DataFrame) -> TrialDiffere
     n = min(len(old), len(new))
     any_, beyond = {}, {}
     for column in FRAMES:
-        any_[column.name], beyond[column.name] = _differs(old[column.name].iloc[:n], new[column.name].iloc[:n], column)
+        any_[column.name], beyond[column.name] = _differs(
+            old[column.name].iloc[:n], new[column.name].iloc[:n], column
+        )
     within = len(old) == len(new) and not any(v.any() for v in beyond.values())
     told = any_ if within else beyond
     first: tuple[int, int, int] | None = None
@@ -101,15 +103,25 @@ def difference(trial: str, old: pd.DataFrame, new: pd.DataFrame) -> TrialDiffere
         if len(old) == len(new):
             return None
         ends = Divergence(trial, n, "input", "n_frames", len(old), len(new))
-        return TrialDifference(trial, ends, {"input": abs(len(old) - len(new))}, False, (len(old), len(new)))
+        return TrialDifference(
+            trial, ends, {"input": abs(len(old) - len(new))}, False, (len(old), len(new))
+        )
     where, s, k = first
     name = [c for c in FRAMES if c.stage == STAGES[s]][k].name
     values = [None if pd.isna(v) else v for v in (old[name].iloc[where], new[name].iloc[where])]
     frame = int(old["frame"].iloc[where])
-    return TrialDifference(trial, Divergence(trial, frame, STAGES[s], name, *values), stages, within, (len(old), len(new)))
+    return TrialDifference(
+        trial,
+        Divergence(trial, frame, STAGES[s], name, *values),
+        stages,
+        within,
+        (len(old), len(new)),
+    )
 
 
-def _differs(old: pd.Series[Any], new: pd.Series[Any], column: Column) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _differs(
+    old: pd.Series[Any], new: pd.Series[Any], column: Column
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Per frame: differs at all, differs beyond the tolerance. Null equals null, NaN equals NaN."""
     null = old.isna().to_numpy(), new.isna().to_numpy()
     both = ~null[0] & ~null[1]
@@ -121,7 +133,9 @@ def _differs(old: pd.Series[Any], new: pd.Series[Any], column: Column) -> tuple[
     a, b = (np.where(both, v.to_numpy(dtype=float, na_value=np.nan), 0.0) for v in (old, new))
     tolerance = tolerance_of(column)
     off = np.abs(a - b)
-    return out | (off > 0), beyond | (off > np.maximum(tolerance.absolute, tolerance.relative * np.abs(a)))
+    return out | (off > 0), beyond | (
+        off > np.maximum(tolerance.absolute, tolerance.relative * np.abs(a))
+    )
 
 
 def _shown(value: Any) -> str:

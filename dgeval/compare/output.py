@@ -92,7 +92,11 @@ def _number(value: float | None) -> str:
 
 
 def _shown(c: Comparison) -> dict[str, Any]:
-    slower = [(s, f, p) for s, f, p in c.timings if p < 0.01 and not 1 / SIGNIFICANT_TIME < f < SIGNIFICANT_TIME]
+    slower = [
+        (s, f, p)
+        for s, f, p in c.timings
+        if p < 0.01 and not 1 / SIGNIFICANT_TIME < f < SIGNIFICANT_TIME
+    ]
     return {
         "c": c,
         "first": c.first,
@@ -104,23 +108,36 @@ def _shown(c: Comparison) -> dict[str, Any]:
 
 def overlays(c: Comparison) -> list[tuple[str, str]]:
     """(trial, PNG as data URI) of the trials that changed most."""
-    most = sorted((d for d in c.differences if not d.within), key=lambda d: (-sum(d.stages.values()), d.trial))[:MOST_DRAWN]
-    return [(d.trial, as_data_uri(overlay(c.old.frames(d.trial), c.new.frames(d.trial), d))) for d in most]
+    most = sorted(
+        (d for d in c.differences if not d.within), key=lambda d: (-sum(d.stages.values()), d.trial)
+    )[:MOST_DRAWN]
+    return [
+        (d.trial, as_data_uri(overlay(c.old.frames(d.trial), c.new.frames(d.trial), d)))
+        for d in most
+    ]
 
 
 def overlay(old: pd.DataFrame, new: pd.DataFrame, d: TrialDifference) -> Figure:
     """Quantities over time, old thick and pale, new thin; a line where they first differ."""
-    shown = {k: v for k, v in DRAWN.items() if any(t[list(v)].notna().any().any() for t in (old, new))}
+    shown = {
+        k: v for k, v in DRAWN.items() if any(t[list(v)].notna().any().any() for t in (old, new))
+    }
     figure = Figure(figsize=(7.2, 0.5 + 1.4 * max(1, len(shown))), layout="constrained")
     axes = np.atleast_1d(np.asarray(figure.subplots(max(1, len(shown)), 1, sharex=True)))
     start = int(old["t_ns"].iloc[0])
-    at = (int(old.loc[old["frame"] == d.first.frame, "t_ns"].iloc[0]) - start) * 1e-9 if len(old) > d.first.frame else None
+    at = (
+        (int(old.loc[old["frame"] == d.first.frame, "t_ns"].iloc[0]) - start) * 1e-9
+        if len(old) > d.first.frame
+        else None
+    )
     for axis, (label, columns) in zip(axes, shown.items(), strict=False):
         for k, column in enumerate(columns):
             for table, width, alpha, name in ((old, 3.2, 0.35, "old"), (new, 1.1, 1.0, "new")):
                 t: Array = (table["t_ns"].to_numpy(dtype=np.int64) - start) * 1e-9
                 values = table[column].to_numpy(dtype=float, na_value=np.nan)
-                axis.plot(t, values, color=f"C{k}", lw=width, alpha=alpha, label=name if k == 0 else None)
+                axis.plot(
+                    t, values, color=f"C{k}", lw=width, alpha=alpha, label=name if k == 0 else None
+                )
         if at is not None:
             axis.axvline(at, color="#b3392f", lw=0.9, ls="--")
         axis.set_ylabel(label, fontsize=8)

@@ -34,14 +34,34 @@ class Metric:
 METRICS = (
     Metric("lost", "", True, 0.02, "share of frames in which the tracker had lost the target"),
     Metric("predicted", "", True, 0.02, "share of frames without an accepted registration"),
-    Metric("position_error", "m", True, 0.001, "median distance of the feature point from where hindsight has it"),
-    Metric("velocity_error", "m/s", True, 0.003, "median error of the estimated velocity against hindsight's path"),
+    Metric(
+        "position_error",
+        "m",
+        True,
+        0.001,
+        "median distance of the feature point from where hindsight has it",
+    ),
+    Metric(
+        "velocity_error",
+        "m/s",
+        True,
+        0.003,
+        "median error of the estimated velocity against hindsight's path",
+    ),
     Metric("gate_fitness", "", False, 0.02, "median fitness of registrations at the gate"),
-    Metric("close_time", "s", True, 0.05, "from the moment the replay would have closed to the recorded close"),
+    Metric(
+        "close_time",
+        "s",
+        True,
+        0.05,
+        "from the moment the replay would have closed to the recorded close",
+    ),
 )
 
 
-def trial_metrics(frames: pd.DataFrame, hindsight: pd.DataFrame | None, close_ns: int | None) -> dict[str, float]:
+def trial_metrics(
+    frames: pd.DataFrame, hindsight: pd.DataFrame | None, close_ns: int | None
+) -> dict[str, float]:
     """METRICS of one trial; NaN where there is nothing to measure. frames, hindsight: tables of that trial."""
     out = dict.fromkeys((m.name for m in METRICS), math.nan)
     out["lost"] = float((frames["tracking"] == "lost").mean())
@@ -60,13 +80,20 @@ def trial_metrics(frames: pd.DataFrame, hindsight: pd.DataFrame | None, close_ns
     places = path[["object_px", "object_py", "object_pz"]].to_numpy(dtype=float)
     velocity = np.polyfit(seconds, places, 1)[0]
     joined = frames.set_index("frame").loc[path["frame"]]
-    estimated = joined[["velocity_x", "velocity_y", "velocity_z"]].to_numpy(dtype=float, na_value=np.nan)
+    estimated = joined[["velocity_x", "velocity_y", "velocity_z"]].to_numpy(
+        dtype=float, na_value=np.nan
+    )
     if np.isfinite(estimated).any():
         out["velocity_error"] = float(np.nanmedian(np.linalg.norm(estimated - velocity, axis=1)))
     # the path does not turn: where the feature point lies from the model's origin is the same all along
-    offset = joined[["feature_px", "feature_py", "feature_pz"]].to_numpy(dtype=float, na_value=np.nan) - places
+    offset = (
+        joined[["feature_px", "feature_py", "feature_pz"]].to_numpy(dtype=float, na_value=np.nan)
+        - places
+    )
     if np.isfinite(offset).any():
-        out["position_error"] = float(np.nanmedian(np.linalg.norm(offset - np.nanmedian(offset, axis=0), axis=1)))
+        out["position_error"] = float(
+            np.nanmedian(np.linalg.norm(offset - np.nanmedian(offset, axis=0), axis=1))
+        )
     return out
 
 
@@ -117,8 +144,23 @@ def answers(old: dict[str, Array], new: dict[str, Array], alpha: float = ALPHA) 
         elif -metric.relevant < low and high < metric.relevant:
             answer = "same"
         else:
-            needed = trials_needed(float(np.std(d, ddof=1)) if len(d) > 1 else math.nan, metric.relevant, alpha, len(d))
-        out.append(Result(metric, len(d), float(np.median(a)), float(np.median(b)), middle, low, high, p, answer, needed))
+            needed = trials_needed(
+                float(np.std(d, ddof=1)) if len(d) > 1 else math.nan, metric.relevant, alpha, len(d)
+            )
+        out.append(
+            Result(
+                metric,
+                len(d),
+                float(np.median(a)),
+                float(np.median(b)),
+                middle,
+                low,
+                high,
+                p,
+                answer,
+                needed,
+            )
+        )
     return out
 
 
@@ -156,7 +198,9 @@ def walsh_interval(d: Array, alpha: float) -> tuple[float, float]:
     n = len(d)
     walsh = np.sort(((d[:, None] + d[None]) / 2)[np.triu_indices(n)])
     # normal approximation of the rank sum's quantile, rounded to the safe side
-    cut = math.floor(n * (n + 1) / 4 - norm.ppf(1 - alpha / 2) * math.sqrt(n * (n + 1) * (2 * n + 1) / 24))
+    cut = math.floor(
+        n * (n + 1) / 4 - norm.ppf(1 - alpha / 2) * math.sqrt(n * (n + 1) * (2 * n + 1) / 24)
+    )
     if cut < 1 or 2.0 ** (1 - n) > alpha:
         return -math.inf, math.inf
     return float(walsh[cut - 1]), float(walsh[-cut])

@@ -28,7 +28,10 @@ def write_difference(path: Path, old: pd.DataFrame, new: pd.DataFrame, d: TrialD
     rec = rr.RecordingStream("dgeval compare", recording_id=d.trial)
     rec.save(str(part))
     start = int(old["t_ns"].iloc[0])
-    for name, table, colour in (("baseline", old, OLD), ("now", new, NEW)):  # drawn in the order of their names
+    for name, table, colour in (
+        ("baseline", old, OLD),
+        ("now", new, NEW),
+    ):  # drawn in the order of their names
         seconds = (table["t_ns"].to_numpy(dtype=np.int64) - start) * 1e-9
         times = rr.TimeColumn("time", duration=seconds)
         for view, series in VIEWS.items():
@@ -36,18 +39,35 @@ def write_difference(path: Path, old: pd.DataFrame, new: pd.DataFrame, d: TrialD
                 values = table[column].to_numpy(dtype=float, na_value=np.nan)
                 if np.isfinite(values).any():
                     entity = rr.new_entity_path([view, f"{label}, {name}"])
-                    rec.log(entity, rr.SeriesLines(colors=colour, widths=3.0 if name == "baseline" else 1.2), static=True)
-                    rec.send_columns(entity, indexes=[times], columns=rr.Scalars.columns(scalars=values))
-        places = table[["feature_px", "feature_py", "feature_pz"]].to_numpy(dtype=float, na_value=np.nan)
+                    rec.log(
+                        entity,
+                        rr.SeriesLines(colors=colour, widths=3.0 if name == "baseline" else 1.2),
+                        static=True,
+                    )
+                    rec.send_columns(
+                        entity, indexes=[times], columns=rr.Scalars.columns(scalars=values)
+                    )
+        places = table[["feature_px", "feature_py", "feature_pz"]].to_numpy(
+            dtype=float, na_value=np.nan
+        )
         places = places[np.isfinite(places).all(axis=1)]
         if len(places):
-            rec.log(["scene", f"feature point, {name}"], rr.LineStrips3D([places], colors=colour, radii=0.001), static=True)
+            rec.log(
+                ["scene", f"feature point, {name}"],
+                rr.LineStrips3D([places], colors=colour, radii=0.001),
+                static=True,
+            )
     at = old.loc[old["frame"] == d.first.frame, "t_ns"]
     rec.set_time("time", duration=0.0 if at.empty else (int(at.iloc[0]) - start) * 1e-9)
     rec.log("events", rr.TextLog(f"first difference: {d.first}", level="WARN", color=FIRST))
     views = [rrb.TimeSeriesView(origin=rr.new_entity_path([view]), name=view) for view in VIEWS]
-    scene = rrb.Vertical(rrb.Spatial3DView(origin="scene", name="feature point, base frame"), rrb.TextLogView(origin="events"))
-    rec.send_blueprint(rrb.Blueprint(rrb.Horizontal(rrb.Vertical(*views), scene), collapse_panels=True))
+    scene = rrb.Vertical(
+        rrb.Spatial3DView(origin="scene", name="feature point, base frame"),
+        rrb.TextLogView(origin="events"),
+    )
+    rec.send_blueprint(
+        rrb.Blueprint(rrb.Horizontal(rrb.Vertical(*views), scene), collapse_panels=True)
+    )
     rec.flush()
     rec.disconnect()
     part.replace(path)

@@ -18,7 +18,10 @@ KnownBy = Literal["path", "registration", "depth", "colour", "hand", "support"]
 
 WINDOW_BEFORE_S, WINDOW_AFTER_S = 4.0, 4.0  # around the close, where frames are looked at again
 
-RISEN_M, HELD_M = 0.05, 0.015  # the palm off its place at the close; the object off its place in the palm
+RISEN_M, HELD_M = (
+    0.05,
+    0.015,
+)  # the palm off its place at the close; the object off its place in the palm
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +47,9 @@ def hand_distance(trial: Trial, t_ns: int, points_base: Array) -> tuple[float, s
     return None if near is None else (near[1], near[0])
 
 
-def nearest_link(trial: Trial, t_ns: int, points_base: Array, link: str | None) -> tuple[str, float, Array, Array] | None:
+def nearest_link(
+    trial: Trial, t_ns: int, points_base: Array, link: str | None
+) -> tuple[str, float, Array, Array] | None:
     """Nearest link (or how near the named one is): name, signed distance m, its middle, nearest point (base frame)."""
     shapes = trial.robot.hand_shapes(t_ns)
     T_base_camera = trial.robot.T_base_camera(t_ns)
@@ -61,12 +66,23 @@ def nearest_link(trial: Trial, t_ns: int, points_base: Array, link: str | None) 
         d = signed_distance(shape, transform(invert(T_camera_shape), in_camera))
         k = int(np.argmin(d))
         if best is None or d[k] < best[1]:
-            best = shape.link, float(d[k]), transform(T_base_camera, T_camera_shape[None, :3, 3])[0], points_base[k]
+            best = (
+                shape.link,
+                float(d[k]),
+                transform(T_base_camera, T_camera_shape[None, :3, 3])[0],
+                points_base[k],
+            )
     return best
 
 
 def moments_of(
-    trial: Trial, seen: list[Seen], path: Path, sightings: list[Sighting], model: Model, pushed_ns: int | None, end_ns: int
+    trial: Trial,
+    seen: list[Seen],
+    path: Path,
+    sightings: list[Sighting],
+    model: Model,
+    pushed_ns: int | None,
+    end_ns: int,
 ) -> tuple[Moment, ...]:
     """The object in every frame from some seconds before the close on, and the hand's nearest link.
 
@@ -105,14 +121,32 @@ def moments_of(
 def _in_hand(trial: Trial, sightings: list[Sighting], end_ns: int) -> tuple[int, Array] | None:
     """From when on, and T_palm_model, if the object was seen to move with the palm while that rose; None else."""
     then = trial.robot.T_base_palm(end_ns)
-    after = [(s, palm) for s in sightings if s.t_ns > end_ns and (palm := trial.robot.T_base_palm(s.t_ns)) is not None]
-    risen = [(s, palm) for s, palm in after if then is not None and np.linalg.norm(palm[:3, 3] - then[:3, 3]) > RISEN_M]
+    after = [
+        (s, palm)
+        for s in sightings
+        if s.t_ns > end_ns and (palm := trial.robot.T_base_palm(s.t_ns)) is not None
+    ]
+    risen = [
+        (s, palm)
+        for s, palm in after
+        if then is not None and np.linalg.norm(palm[:3, 3] - then[:3, 3]) > RISEN_M
+    ]
     if len(risen) < 3:
         return None
     held = [invert(palm) @ s.T_base_model for s, palm in risen]
-    typical = held[int(np.argmin([np.median([np.linalg.norm(a[:3, 3] - b[:3, 3]) for b in held]) for a in held]))]
+    typical = held[
+        int(
+            np.argmin(
+                [np.median([np.linalg.norm(a[:3, 3] - b[:3, 3]) for b in held]) for a in held]
+            )
+        )
+    ]
     if float(np.median([np.linalg.norm(T[:3, 3] - typical[:3, 3]) for T in held])) > HELD_M:
         return None
     # back to the first sighting after the close from which on it lay so in the hand
-    with_it = [s.t_ns for s, palm in after if np.linalg.norm((invert(palm) @ s.T_base_model)[:3, 3] - typical[:3, 3]) < HELD_M]
+    with_it = [
+        s.t_ns
+        for s, palm in after
+        if np.linalg.norm((invert(palm) @ s.T_base_model)[:3, 3] - typical[:3, 3]) < HELD_M
+    ]
     return with_it[0], typical

@@ -33,7 +33,10 @@ GapSided = Literal["none", "one", "two"]
 CONTACT_M = 0.006  # m; a hand this near may be pushing: measured clouds are not more exact
 NO_GAP_S = 0.1
 MIN_COLOUR = 12  # features
-CARRIED_S, APART_M = 1.0, 0.01  # a sighting is a prior for so long, where it is so far from the others
+CARRIED_S, APART_M = (
+    1.0,
+    0.01,
+)  # a sighting is a prior for so long, where it is so far from the others
 MOST_MISSED = 45  # frames kept to be gone through backwards
 BACKWARD_NS = 250_000_000  # from one frame to the one before it, in going backwards
 
@@ -62,7 +65,9 @@ class Hindsight:
     notes: tuple[str, ...]
 
 
-def look_back(trial: Trial, seen: list[Seen], surface: Surface, perception: Perception, config: Config) -> Hindsight | None:
+def look_back(
+    trial: Trial, seen: list[Seen], surface: Surface, perception: Perception, config: Config
+) -> Hindsight | None:
     """Second pass over one trial. None where the causal pass never had a model and a pose to start from."""
     model = surface.model()
     accepted = [s for s in seen if s.T_camera_model is not None]
@@ -74,14 +79,18 @@ def look_back(trial: Trial, seen: list[Seen], surface: Surface, perception: Perc
     path, _ = free_path(trial, sightings, model, centroid, end_ns)
     support = _support(seen)
 
-    tracker = perception.tracker if isinstance(perception.tracker, ModelTracker) else ModelTracker(config)
+    tracker = (
+        perception.tracker if isinstance(perception.tracker, ModelTracker) else ModelTracker(config)
+    )
     known = {s.t_ns for s in sightings}
     # without a grasp in the log nobody asks for what a second look would add
     attempt = trial.event_ns("close") is not None or bool(trial.scan.poses.get(GRASP_TOPIC))
     wanted = {
         s.index: s
         for s in seen
-        if attempt and s.t_ns not in known and -WINDOW_BEFORE_S <= (s.t_ns - end_ns) * 1e-9 <= WINDOW_AFTER_S
+        if attempt
+        and s.t_ns not in known
+        and -WINDOW_BEFORE_S <= (s.t_ns - end_ns) * 1e-9 <= WINDOW_AFTER_S
     }
     missed: deque[Frame] = deque(maxlen=MOST_MISSED)
     for frame in trial.frames() if wanted else ():
@@ -100,7 +109,14 @@ def look_back(trial: Trial, seen: list[Seen], surface: Surface, perception: Perc
             here = missed.pop() if missed and here.t_ns - missed[-1].t_ns < BACKWARD_NS else None
     path, pushed_ns = free_path(trial, sightings, model, centroid, end_ns)
     moments = moments_of(trial, seen, path, sightings, model, pushed_ns, end_ns) if attempt else ()
-    contact = next((m for m in moments if m.t_ns <= end_ns and m.distance is not None and m.distance < CONTACT_M), None)
+    contact = next(
+        (
+            m
+            for m in moments
+            if m.t_ns <= end_ns and m.distance is not None and m.distance < CONTACT_M
+        ),
+        None,
+    )
     notes = [] if support is not None else ["hindsight: no support plane was seen"]
     close_ns = trial.event_ns("close")
     gap, sided = blind_gap([s.t_ns for s in sightings], close_ns)
@@ -147,7 +163,9 @@ def _support(seen: list[Seen]) -> Plane | None:
     return Plane(n, float(np.median([p.d for p in near])), float(len(near) / len(planes)))
 
 
-def _priors(t_ns: int, path: Path, sightings: list[Sighting], trial: Trial, end_ns: int) -> list[Array]:
+def _priors(
+    t_ns: int, path: Path, sightings: list[Sighting], trial: Trial, end_ns: int
+) -> list[Array]:
     """Where the model may be at a time, T_base_model: on its path; in the hand, after the close; where it was seen last
     (forward) or will be seen next (backward), as after a push, moved with what it stands on."""
     out = [path.at(t_ns)]
@@ -159,13 +177,20 @@ def _priors(t_ns: int, path: Path, sightings: list[Sighting], trial: Trial, end_
     for s in (*sightings[max(at - 1, 0) : at], *sightings[at : at + 1]):
         T = s.T_base_model.copy()
         T[:3, 3] += path.velocity[-1] * (t_ns - s.t_ns) * 1e-9
-        if abs(t_ns - s.t_ns) * 1e-9 < CARRIED_S and all(np.linalg.norm((T - P) @ centre) > APART_M for P in out):
+        if abs(t_ns - s.t_ns) * 1e-9 < CARRIED_S and all(
+            np.linalg.norm((T - P) @ centre) > APART_M for P in out
+        ):
             out.append(T)
     return out
 
 
 def _look(
-    frame: Frame, seen: Seen, tracker: ModelTracker, model: Model, priors: list[Array], config: Config
+    frame: Frame,
+    seen: Seen,
+    tracker: ModelTracker,
+    model: Model,
+    priors: list[Array],
+    config: Config,
 ) -> Sighting | None:
     """The model in one frame, from each place it may be at; depth needs the gate's fitness, colour enough features."""
     T_camera_base = invert(seen.T_base_camera)
@@ -175,17 +200,28 @@ def _look(
             continue
         T = tracked.T_camera_model
         n_features = 0 if tracked.features is None else len(tracked.features.points)
-        if tracked.mask is not None and tracked.window is not None and tracked.mask_area >= config.observation.min_points:
+        if (
+            tracked.mask is not None
+            and tracked.window is not None
+            and tracked.mask_area >= config.observation.min_points
+        ):
             v, u = np.nonzero(tracked.mask)
             step = max(1, len(v) // config.observation.max_points)
             u, v = u[::step] + tracked.window[0], v[::step] + tracked.window[1]
             z = frame.depth[v, u].astype(np.float64)
             points = frame.camera.backproject(u.astype(float), v.astype(float), z)[z > 0]
             result = register(
-                Observation(points, np.zeros_like(points)), model, T, tracked.features, frame.camera, config.registration
+                Observation(points, np.zeros_like(points)),
+                model,
+                T,
+                tracked.features,
+                frame.camera,
+                config.registration,
             )
             if result.reject_reason is None and result.gate_fitness > config.registration.c_a_f:
-                return Sighting(frame.t_ns, seen.T_base_camera @ result.T_camera_model, "registration", True)
+                return Sighting(
+                    frame.t_ns, seen.T_base_camera @ result.T_camera_model, "registration", True
+                )
         if n_features >= MIN_COLOUR:
             return Sighting(frame.t_ns, seen.T_base_camera @ T, "colour", True)
     return None

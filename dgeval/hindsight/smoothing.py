@@ -14,7 +14,11 @@ from scipy.spatial.transform import Rotation
 from dgeval.geometry import Array, transform
 
 By = Literal["registration", "depth", "colour"]
-ACCELERATIONS = (0.002, 0.05, 0.5)  # m/s^2; the most likely of them describes how smoothly the object moves
+ACCELERATIONS = (
+    0.002,
+    0.05,
+    0.5,
+)  # m/s^2; the most likely of them describes how smoothly the object moves
 # m; of one sighting. Registration is precise but wobbles slowly by 1-3 mm as views change: less would be taken for motion
 SIGMA: dict[By, float] = {"registration": 0.002, "depth": 0.004, "colour": 0.004}
 
@@ -108,7 +112,9 @@ def _rts(t: Array, places: Array, sigma: Array, acceleration: float) -> tuple[fl
         dt = t[k] - t[k - 1]
         F = np.eye(6)
         F[:3, 3:] = np.eye(3) * dt
-        Q = Q_discrete_white_noise(2, dt, acceleration**2, block_size=3, order_by_dim=False) + 1e-14 * np.eye(6)
+        Q = Q_discrete_white_noise(
+            2, dt, acceleration**2, block_size=3, order_by_dim=False
+        ) + 1e-14 * np.eye(6)
         f.predict(F=F, Q=Q)
         f.update(places[k].reshape(3, 1), R=np.eye(3) * sigma[k] ** 2)
         likelihood += float(f.log_likelihood)
@@ -119,7 +125,10 @@ def _rts(t: Array, places: Array, sigma: Array, acceleration: float) -> tuple[fl
     if len(t) > 1:
         # filterpy's Fs[k + 1] leads from k to k + 1
         xs, Ps, _, _ = f.rts_smoother(
-            np.array(states)[:, :, None], np.array(covariances), [transitions[0], *transitions], [noises[0], *noises]
+            np.array(states)[:, :, None],
+            np.array(covariances),
+            [transitions[0], *transitions],
+            [noises[0], *noises],
         )
         return likelihood, np.asarray(xs[:, :, 0]), np.asarray(Ps)
     return likelihood, np.array(states), np.array(covariances)

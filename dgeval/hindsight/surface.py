@@ -27,7 +27,9 @@ class Surface:
     def add(self, model: Model) -> None:
         """Merge a model cloud; call with accepted frames only."""
         at = np.floor(model.points / CELL).astype(np.int64) + 2**20
-        cells, inverse = np.unique((at[:, 0] << 42) | (at[:, 1] << 21) | at[:, 2], return_inverse=True)
+        cells, inverse = np.unique(
+            (at[:, 0] << 42) | (at[:, 1] << 21) | at[:, 2], return_inverse=True
+        )
         sums = np.zeros((len(cells), 7))
         np.add.at(sums, inverse, np.column_stack([model.points, model.normals, np.ones(len(at))]))
         both = np.union1d(self._cells, cells)
@@ -42,7 +44,9 @@ class Surface:
             return None
         points = self._sums[:, :3] / self._sums[:, 6:]
         normals = self._sums[:, 3:6]
-        return Model(points, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
+        return Model(
+            points, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        )
 
 
 @dataclass(frozen=True)
@@ -74,4 +78,13 @@ def seen_of(step: Step) -> Seen | None:
     n_features = 0 if tracked.features is None else len(tracked.features.points)
     T_tracked = tracked.T_camera_model if tracked.state == "tracked" else None
     frame = step.frame
-    return Seen(frame.index, frame.t_ns, step.T_base_camera, accepted, T_tracked, n_features, tracked.mask_area, support)
+    return Seen(
+        frame.index,
+        frame.t_ns,
+        step.T_base_camera,
+        accepted,
+        T_tracked,
+        n_features,
+        tracked.mask_area,
+        support,
+    )

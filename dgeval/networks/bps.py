@@ -17,7 +17,9 @@ def basis(n: int = 4096, radius: float = 0.2) -> NDArray[np.float32]:
 
     Its SHA-256 as float32 bytes is d1e7f6d3…; the array is shared and read-only.
     """
-    stream = np.random.RandomState(SEED)  # legacy, as the library draws: all normals before the radii
+    stream = np.random.RandomState(
+        SEED
+    )  # legacy, as the library draws: all normals before the radii
     points = stream.normal(size=(n, 3))
     points /= np.sqrt(np.square(points).sum(axis=1))[:, None]
     points *= radius * np.power(stream.uniform(size=(n, 1)), 1 / 3)
@@ -34,5 +36,7 @@ def encode(cloud: NDArray[np.floating], points: NDArray[np.float32]) -> NDArray[
     if len(cloud) == 0:
         raise ValueError("an empty cloud has no encoding")
     # the fastest of four, benchmarks/results/ffhnet.md; it gives squared distances
-    _, squared = small_gicp.KdTree(np.asarray(cloud, dtype=np.float64)).batch_nearest_neighbor_search(points.astype(np.float64))
+    _, squared = small_gicp.KdTree(
+        np.asarray(cloud, dtype=np.float64)
+    ).batch_nearest_neighbor_search(points.astype(np.float64))
     return np.asarray(np.sqrt(squared), dtype=np.float32)

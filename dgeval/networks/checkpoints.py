@@ -31,7 +31,10 @@ _REBUILD = {
 _INERT = ("ltr", "pytracking", "torch.optim", "functools", "numpy", "easydict", "argparse")
 
 
-LEVELS, STEP = 47, "/step"  # of quantised matrices: steps to each side, and the name of a row's step behind the matrix's
+LEVELS, STEP = (
+    47,
+    "/step",
+)  # of quantised matrices: steps to each side, and the name of a row's step behind the matrix's
 
 
 class _Shell:
@@ -50,18 +53,26 @@ class _Shell:
 
 class _Unpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
-        if (module, name) in _REBUILD or (module == "torch" and (name.endswith("Storage") or name in _DTYPES)):
+        if (module, name) in _REBUILD or (
+            module == "torch" and (name.endswith("Storage") or name in _DTYPES)
+        ):
             return super().find_class(module, name)
         if module.split(".")[0] in _INERT or module.startswith("torch.optim"):
             return type(name, (_Shell,), {})
-        raise pickle.UnpicklingError(f"{module}.{name} is refused: a checkpoint holds tensors and settings")
+        raise pickle.UnpicklingError(
+            f"{module}.{name} is refused: a checkpoint holds tensors and settings"
+        )
 
 
-_DTYPES = {str(d).removeprefix("torch.") for d in vars(torch).values() if isinstance(d, torch.dtype)}
+_DTYPES = {
+    str(d).removeprefix("torch.") for d in vars(torch).values() if isinstance(d, torch.dtype)
+}
 # torch.load takes the place of the pickle module from its caller
 _restricted = types.ModuleType("restricted_pickle")
 _restricted.__dict__.update(
-    Unpickler=_Unpickler, load=lambda f, **k: _Unpickler(f, **k).load(), UnpicklingError=pickle.UnpicklingError
+    Unpickler=_Unpickler,
+    load=lambda f, **k: _Unpickler(f, **k).load(),
+    UnpicklingError=pickle.UnpicklingError,
 )
 
 
@@ -77,14 +88,30 @@ def read_weights(path: Path, key: str | None = None) -> dict[str, Tensor]:
         if path.suffix == ".safetensors":
             return dequantised(load_file(path))
         with path.open("rb") as file:
-            whole: Any = torch.load(file, map_location="cpu", pickle_module=_restricted, weights_only=False)
+            whole: Any = torch.load(
+                file, map_location="cpu", pickle_module=_restricted, weights_only=False
+            )
     except pickle.UnpicklingError as error:
         raise UsageError(f"not a file of weights that is safe to read: {error}", place) from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError, zipfile.BadZipFile, SafetensorError) as error:
-        raise UsageError(f"weights can't be read, cut off or no checkpoint ({_first_line(error)})", place) from error
+    except (
+        RuntimeError,
+        EOFError,
+        OSError,
+        ValueError,
+        KeyError,
+        zipfile.BadZipFile,
+        SafetensorError,
+    ) as error:
+        raise UsageError(
+            f"weights can't be read, cut off or no checkpoint ({_first_line(error)})", place
+        ) from error
     found = whole.get(key, whole) if key is not None and isinstance(whole, dict) else whole
     if not isinstance(found, dict) or not all(isinstance(v, Tensor) for v in found.values()):
-        names = ", ".join(map(str, list(whole)[:6])) if isinstance(whole, dict) else type(whole).__name__
+        names = (
+            ", ".join(map(str, list(whole)[:6]))
+            if isinstance(whole, dict)
+            else type(whole).__name__
+        )
         raise UsageError(f"no state dict {key or ''} in it; there is: {names}", place)
     return {name.removeprefix("module."): tensor for name, tensor in found.items()}
 
@@ -111,7 +138,11 @@ def quantised(state: dict[str, Tensor]) -> dict[str, Tensor]:
 
 def dequantised(state: dict[str, Tensor]) -> dict[str, Tensor]:
     """The inverse of `quantised`; other tensors as they are."""
-    return {k: v * state[k + STEP] if k + STEP in state else v for k, v in state.items() if not k.endswith(STEP)}
+    return {
+        k: v * state[k + STEP] if k + STEP in state else v
+        for k, v in state.items()
+        if not k.endswith(STEP)
+    }
 
 
 def _first_line(error: Exception) -> str:
@@ -123,13 +154,21 @@ def load_strictly(network: nn.Module, weights: dict[str, Tensor], source: str) -
     wanted = network.state_dict()
     for name, tensor in wanted.items():
         if name not in weights:
-            raise UsageError(f"weights of {type(network).__name__}: {name} is missing", Place(source))
+            raise UsageError(
+                f"weights of {type(network).__name__}: {name} is missing", Place(source)
+            )
         if weights[name].shape != tensor.shape:
             shapes = f"{tuple(weights[name].shape)}, not {tuple(tensor.shape)}"
-            raise UsageError(f"weights of {type(network).__name__}: {name} has shape {shapes}", Place(source))
+            raise UsageError(
+                f"weights of {type(network).__name__}: {name} has shape {shapes}", Place(source)
+            )
     if unknown := [name for name in weights if name not in wanted]:
-        raise UsageError(f"weights of {type(network).__name__}: {unknown[0]} is not a part of it", Place(source))
-    network.load_state_dict({name: tensor.to(wanted[name].dtype) for name, tensor in weights.items()})
+        raise UsageError(
+            f"weights of {type(network).__name__}: {unknown[0]} is not a part of it", Place(source)
+        )
+    network.load_state_dict(
+        {name: tensor.to(wanted[name].dtype) for name, tensor in weights.items()}
+    )
     network.eval()
 
 

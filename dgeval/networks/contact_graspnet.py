@@ -29,7 +29,11 @@ WIDTHS = (
     ((64, 64, 128), (128, 128, 256), (128, 128, 256)),
     ((64, 64, 128), (128, 128, 256), (128, 128, 256)),
 )
-BACK: tuple[tuple[int, ...], ...] = ((256, 256), (256, 128), (128, 128, 128))  # widths on the way back
+BACK: tuple[tuple[int, ...], ...] = (
+    (256, 256),
+    (256, 128),
+    (128, 128, 128),
+)  # widths on the way back
 NEIGHBOURS = 64  # at most, of each centre
 INTERPOLATED = 3  # nearest points a feature is carried over from
 WIDEST = 0.08  # m; of the Panda's gripper, for which it was trained
@@ -46,7 +50,10 @@ class JawGrasps:
 
 def _layers(inputs: int, widths: tuple[int, ...]) -> nn.Sequential:
     return nn.Sequential(
-        *(nn.Sequential(nn.Linear(a, b), nn.ReLU(), nn.BatchNorm1d(b)) for a, b in zip((inputs, *widths), widths, strict=False))
+        *(
+            nn.Sequential(nn.Linear(a, b), nn.ReLU(), nn.BatchNorm1d(b))
+            for a, b in zip((inputs, *widths), widths, strict=False)
+        )
     )
 
 
@@ -58,7 +65,10 @@ class ContactGraspNet(nn.Module):
         inputs, gathered = 0, []
         stages = []
         for widths in WIDTHS:
-            scales = [nn.ModuleDict({"conv": nn.ModuleDict({"local_nn": _layers(inputs + 3, w)})}) for w in widths]
+            scales = [
+                nn.ModuleDict({"conv": nn.ModuleDict({"local_nn": _layers(inputs + 3, w)})})
+                for w in widths
+            ]
             stages.append(nn.ModuleList(scales))
             inputs = sum(w[-1] for w in widths)
             gathered.append(inputs)
@@ -70,7 +80,12 @@ class ContactGraspNet(nn.Module):
             carried = outward[-1]
         self.feat_prop = nn.ModuleList(back)
         self.multihead = nn.ModuleList(
-            nn.Sequential(nn.Conv1d(3 + carried, 128, 1), nn.BatchNorm1d(128), nn.Dropout(0.0), nn.Conv1d(128, n, 1))
+            nn.Sequential(
+                nn.Conv1d(3 + carried, 128, 1),
+                nn.BatchNorm1d(128),
+                nn.Dropout(0.0),
+                nn.Conv1d(128, n, 1),
+            )
             for n in (1, 3, 3, 1)
         )
 
@@ -103,7 +118,9 @@ class ContactGraspNet(nn.Module):
         whole = torch.cat([xyz, features], 1).T[None]
         score, across, approach, width = (head(whole)[0].T for head in self.multihead)
         across = functional.normalize(across, dim=1)
-        approach = functional.normalize(approach - (across * approach).sum(1, keepdim=True) * across, dim=1)
+        approach = functional.normalize(
+            approach - (across * approach).sum(1, keepdim=True) * across, dim=1
+        )
         return xyz, across, approach, width[:, 0].clamp(-2 * WIDEST, WIDEST), score[:, 0]
 
     def grasps(self, cloud: Array) -> JawGrasps:

@@ -42,8 +42,17 @@ def normalise_parts(norm: nn.BatchNorm1d, parts: Sequence[Tensor]) -> list[Tenso
     start, out = 0, []
     for part in parts:
         s = slice(start, start + part.shape[1])
-        mean, var, weight, bias = norm.running_mean[s], norm.running_var[s], norm.weight[s], norm.bias[s]
-        out.append(functional.batch_norm(part, mean, var, weight, bias, norm.training, norm.momentum or 0.1, norm.eps))
+        mean, var, weight, bias = (
+            norm.running_mean[s],
+            norm.running_var[s],
+            norm.weight[s],
+            norm.bias[s],
+        )
+        out.append(
+            functional.batch_norm(
+                part, mean, var, weight, bias, norm.training, norm.momentum or 0.1, norm.eps
+            )
+        )
         start = s.stop
     return out
 
@@ -114,7 +123,9 @@ class FFHGenerator(nn.Module):
 
     def encode(self, bps: Tensor, palms: Palms) -> tuple[Tensor, Tensor]:
         """Mean and log variance (n, 5) of the latent code."""
-        x = normalise_parts(self.enc_bn1, [bps, palms.rotation.flatten(1), palms.translation, palms.joints])
+        x = normalise_parts(
+            self.enc_bn1, [bps, palms.rotation.flatten(1), palms.translation, palms.joints]
+        )
         first = self.enc_rb1(x)
         second = self.enc_rb2([*x, first])
         return self.enc_mu(second), self.enc_logvar(second)
@@ -124,7 +135,11 @@ class FFHGenerator(nn.Module):
         x = [z, *normalise_parts(self.dec_bn1, [bps])]
         first = self.dec_rb1(x)
         second = self.dec_rb2([*x, first])
-        return Palms(matrix_from_6d(self.dec_rot(second)), self.dec_transl(second), self.dec_joint_conf(second))
+        return Palms(
+            matrix_from_6d(self.dec_rot(second)),
+            self.dec_transl(second),
+            self.dec_joint_conf(second),
+        )
 
     @torch.no_grad()
     def generate(self, bps: Tensor, n: int, draws: torch.Generator) -> Palms:
@@ -135,7 +150,9 @@ class FFHGenerator(nn.Module):
 class FFHEvaluator(nn.Module):
     """Probability that a grasp holds. The published one is blind to the fingers; `joints` adds them (ours)."""
 
-    def __init__(self, n_bps: int = 4096, width: int = 512, hidden: int = 256, joints: bool = False) -> None:
+    def __init__(
+        self, n_bps: int = 4096, width: int = 512, hidden: int = 256, joints: bool = False
+    ) -> None:
         super().__init__()
         inputs = n_bps + 9 + 3 + (N_JOINTS if joints else 0)
         self.joints = joints

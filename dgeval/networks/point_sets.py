@@ -29,12 +29,20 @@ def farthest_points(points: Points, n: int, skipped: float) -> Indices:
         for k in range(m):
             x[k], y[k], z[k] = points[i, k, 0], points[i, k, 1], points[i, k, 2]
             # below zero a point stays below every other one's distance
-            nearest[k] = np.float32(-1.0) if x[k] * x[k] + y[k] * y[k] + z[k] * z[k] <= skipped else np.float32(1e10)
+            nearest[k] = (
+                np.float32(-1.0)
+                if x[k] * x[k] + y[k] * y[k] + z[k] * z[k] <= skipped
+                else np.float32(1e10)
+            )
         old = 0
         for j in range(1, n):
             ox, oy, oz = x[old], y[old], z[old]
             for k in range(m):  # apart from the search for the largest, so that it runs in vectors
-                d = (x[k] - ox) * (x[k] - ox) + (y[k] - oy) * (y[k] - oy) + (z[k] - oz) * (z[k] - oz)
+                d = (
+                    (x[k] - ox) * (x[k] - ox)
+                    + (y[k] - oy) * (y[k] - oy)
+                    + (z[k] - oz) * (z[k] - oz)
+                )
                 nearest[k] = min(nearest[k], d)
             best, old = np.float32(-1.0), 0
             for k in range(m):
@@ -86,7 +94,9 @@ def gathered(values: Points, offsets: Points, near: Indices) -> Points:
 
 
 @njit(cache=True)
-def crop(points: Array, T_grasp_cloud: Array, low: Array, high: Array, n: int) -> tuple[Points, Indices]:
+def crop(
+    points: Array, T_grasp_cloud: Array, low: Array, high: Array, n: int
+) -> tuple[Points, Indices]:
     """The first n points (m, 3) inside a box low..high (3,) of each grasp's frame, (b, n, 3), and how many there were (b,).
 
     Fewer are repeated from the first on; none leaves zeros. Shuffle the points before, or the first are from one corner.
@@ -101,7 +111,12 @@ def crop(points: Array, T_grasp_cloud: Array, low: Array, high: Array, n: int) -
         for k in range(len(points)):
             inside = True
             for r in range(3):
-                p[r] = T[r, 0] * points[k, 0] + T[r, 1] * points[k, 1] + T[r, 2] * points[k, 2] + T[r, 3]
+                p[r] = (
+                    T[r, 0] * points[k, 0]
+                    + T[r, 1] * points[k, 1]
+                    + T[r, 2] * points[k, 2]
+                    + T[r, 3]
+                )
                 if not low[r] < p[r] < high[r]:
                     inside = False
                     break

@@ -20,7 +20,10 @@ from torch.nn import functional
 from dgeval.networks.checkpoints import load_strictly, metadata_of, read_weights
 from dgeval.networks.point_sets import farthest_points, gathered, neighbours_in_ball
 
-CROP_LOW, CROP_HIGH = np.array([-0.10, -0.05, -0.10]), np.array([0.10, 0.05, 0.03])  # m, grasp frame (VFAS section III-B)
+CROP_LOW, CROP_HIGH = (
+    np.array([-0.10, -0.05, -0.10]),
+    np.array([0.10, 0.05, 0.03]),
+)  # m, grasp frame (VFAS section III-B)
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,9 @@ class SetAbstraction(nn.Module):
         factor = norm.weight / torch.sqrt(norm.running_var + norm.eps)
         return weight * factor[:, None], norm.bias - norm.running_mean * factor, norm
 
-    def forward(self, xyz: Tensor, features: Tensor | None, near: Tensor | None, centres: Tensor | None) -> Tensor:
+    def forward(
+        self, xyz: Tensor, features: Tensor | None, near: Tensor | None, centres: Tensor | None
+    ) -> Tensor:
         """xyz (b, n, 3), features (b, n, c); near (b, m, k) the neighbours of centres (b, m, 3), or None: all, no centre.
 
         Returns (b, m, width). The first layer is linear: it is applied once to each point, and once to each centre.
@@ -78,7 +83,9 @@ class SetAbstraction(nn.Module):
         elif not self.training:
             # the same in one pass over the memory, the rectifier included
             offsets = functional.linear(centres, weight[:, :3])
-            x = torch.from_numpy(gathered(x.detach().numpy(), offsets.detach().numpy(), near.numpy()))
+            x = torch.from_numpy(
+                gathered(x.detach().numpy(), offsets.detach().numpy(), near.numpy())
+            )
         else:
             b, m, k = near.shape
             flat = (near + torch.arange(b)[:, None, None] * xyz.shape[1]).reshape(-1)
@@ -101,7 +108,14 @@ def _normalised(norm: nn.BatchNorm2d, x: Tensor) -> Tensor:
         norm.num_batches_tracked.add_(1)
     momentum = norm.momentum or 0.1
     return functional.batch_norm(
-        x, norm.running_mean, norm.running_var, norm.weight, norm.bias, norm.training, momentum, norm.eps
+        x,
+        norm.running_mean,
+        norm.running_var,
+        norm.weight,
+        norm.bias,
+        norm.training,
+        momentum,
+        norm.eps,
     )
 
 
@@ -128,10 +142,18 @@ class GraspEvaluator(nn.Module):
         s = self.sizes
         xyz = torch.cat([scene, gripper], 1)
         of_scene, of_gripper = (1.0, 0.0) if s.labels == "jsll" else (0.0, 1.0)
-        label = torch.cat([torch.full_like(scene[:, :, :1], of_scene), torch.full_like(gripper[:, :, :1], of_gripper)], 1)
+        label = torch.cat(
+            [
+                torch.full_like(scene[:, :, :1], of_scene),
+                torch.full_like(gripper[:, :, :1], of_gripper),
+            ],
+            1,
+        )
         features = torch.cat([xyz, label], 2)
         stages: Any = self.evaluator[0]
-        for stage, count, wanted, radius in zip(stages[:2], s.centres, s.neighbours, s.radii, strict=True):
+        for stage, count, wanted, radius in zip(
+            stages[:2], s.centres, s.neighbours, s.radii, strict=True
+        ):
             points = xyz.detach().numpy()
             chosen = farthest_points(points, count, s.skipped)
             middle = np.take_along_axis(points, chosen[:, :, None], 1)
@@ -149,14 +171,18 @@ class GraspEvaluator(nn.Module):
         out = []
         for k in range(0, len(scene), batch):
             part = scene[k : k + batch]
-            tool = gripper.expand(len(part), -1, -1) if len(gripper) == 1 else gripper[k : k + batch]
+            tool = (
+                gripper.expand(len(part), -1, -1) if len(gripper) == 1 else gripper[k : k + batch]
+            )
             out.append(torch.sigmoid(self(part, tool)[0][:, 0]))
         return torch.cat(out)
 
 
 def save_evaluator(network: GraspEvaluator, path: Path) -> None:
     """Matrices in half precision; sizes beside the weights."""
-    state = {k: (v.half() if v.ndim > 1 else v).contiguous() for k, v in network.state_dict().items()}
+    state = {
+        k: (v.half() if v.ndim > 1 else v).contiguous() for k, v in network.state_dict().items()
+    }
     save_file(state, path, {"sizes": json.dumps(asdict(network.sizes))})
 
 

@@ -31,7 +31,9 @@ def depth_normal_equations(
     return weighted.T @ J, weighted.T @ residual, int(np.count_nonzero(weight))
 
 
-def feature_normal_equations(points: Array, pixels: Array, camera: Intrinsics, cutoff: float) -> tuple[Array, Array, int]:
+def feature_normal_equations(
+    points: Array, pixels: Array, camera: Intrinsics, cutoff: float
+) -> tuple[Array, Array, int]:
     """H (6, 6), g (6,) of reprojection residuals for a left motion of `points` (n, 3), camera frame; cutoff in px."""
     ahead = points[:, 2] > 0.05
     points, pixels = points[ahead], pixels[ahead]
@@ -43,10 +45,19 @@ def feature_normal_equations(points: Array, pixels: Array, camera: Intrinsics, c
     zero = np.zeros_like(x)
     Ju = np.stack([camera.fx / z, zero, -camera.fx * x / z**2], axis=1)
     Jv = np.stack([zero, camera.fy / z, -camera.fy * y / z**2], axis=1)
-    J = np.concatenate([np.concatenate([Ju, cross(points, Ju)], axis=1), np.concatenate([Jv, cross(points, Jv)], axis=1)])
+    J = np.concatenate(
+        [
+            np.concatenate([Ju, cross(points, Ju)], axis=1),
+            np.concatenate([Jv, cross(points, Jv)], axis=1),
+        ]
+    )
     w = np.concatenate([weight, weight])
     weighted = J * w[:, None]
-    return weighted.T @ J, weighted.T @ np.concatenate([residual[:, 0], residual[:, 1]]), int(np.count_nonzero(weight))
+    return (
+        weighted.T @ J,
+        weighted.T @ np.concatenate([residual[:, 0], residual[:, 1]]),
+        int(np.count_nonzero(weight)),
+    )
 
 
 def solve(H: Array, g: Array) -> Array:

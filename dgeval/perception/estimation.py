@@ -64,7 +64,9 @@ class VelocityFilter:
         self._t_ns = t_ns
         f.F = np.eye(6)
         f.F[:3, 3:] = np.eye(3) * dt
-        f.Q = Q_discrete_white_noise(2, dt, self.config.sigma_acceleration**2, block_size=3, order_by_dim=False)
+        f.Q = Q_discrete_white_noise(
+            2, dt, self.config.sigma_acceleration**2, block_size=3, order_by_dim=False
+        )
         if position is None and self.config.loss_policy == "zero":
             f.x[3:] = 0.0
         f.predict()
@@ -77,7 +79,9 @@ class VelocityFilter:
 
     def ahead(self, t_ns: int) -> Array:
         """Where the feature point will have moved by t_ns since the last step (3,) m, base frame."""
-        if self._filter is None or (self.config.loss_policy == "zero" and self._t_ns != self._accepted_ns):
+        if self._filter is None or (
+            self.config.loss_policy == "zero" and self._t_ns != self._accepted_ns
+        ):
             return np.zeros(3)
         return np.asarray(self._filter.x[3:, 0] * max(0.0, (t_ns - self._t_ns) * 1e-9))
 

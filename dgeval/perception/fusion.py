@@ -39,7 +39,9 @@ class Fusion:
         self.model: Model | None = None
         self._previous: list[KdTree] = []
 
-    def step(self, observation: Observation, T_model_camera: Array, rng: np.random.Generator) -> int:
+    def step(
+        self, observation: Observation, T_model_camera: Array, rng: np.random.Generator
+    ) -> int:
         """Merge an accepted observation; returns the size of P″_t. Points without a normal are not merged."""
         has_normal = np.einsum("ij,ij->i", observation.normals, observation.normals) > 0.5
         points = transform(T_model_camera, observation.points)

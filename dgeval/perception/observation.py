@@ -10,7 +10,9 @@ from dgeval.perception.types import Observation, Tracked
 from dgeval.recording.frame import Frame
 
 
-def observe(frame: Frame, tracked: Tracked, rng: np.random.Generator, config: ObservationConfig) -> Observation | None:
+def observe(
+    frame: Frame, tracked: Tracked, rng: np.random.Generator, config: ObservationConfig
+) -> Observation | None:
     """Points and normals of the mask, at most `max_points` of them; None with fewer than `min_points`."""
     if tracked.mask is None or tracked.window is None:
         return None

@@ -20,7 +20,10 @@ from dgeval.perception.trackers.model import ModelTracker, TrackingInput
 from dgeval.perception.types import Model, Observation, Registration, Tracked
 from dgeval.recording.frame import Frame
 
-TRACKERS: dict[str, type[ModelTracker] | type[CsrtTracker]] = {"model": ModelTracker, "csrt": CsrtTracker}
+TRACKERS: dict[str, type[ModelTracker] | type[CsrtTracker]] = {
+    "model": ModelTracker,
+    "csrt": CsrtTracker,
+}
 POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
 Box = tuple[float, float, float, float]
 
@@ -67,11 +70,17 @@ class Perception:
         T_base_model[:3, 3] += self.velocity.ahead(frame.t_ns)
         return orthonormalise(invert(T_base_camera) @ T_base_model)
 
-    def step(self, frame: Frame, T_base_camera: Array | None, box: Box | None, lap: Callable[[str], None]) -> Perceived:
+    def step(
+        self, frame: Frame, T_base_camera: Array | None, box: Box | None, lap: Callable[[str], None]
+    ) -> Perceived:
         """One frame. `box` starts the target; lap(stage) is called when a stage is done."""
         config = self.config
         predicted = self.predict(frame, T_base_camera)
-        tracked = self.tracker.step(TrackingInput(frame, box, self.fusion.model, predicted, self.T_camera_model, self.accepted))
+        tracked = self.tracker.step(
+            TrackingInput(
+                frame, box, self.fusion.model, predicted, self.T_camera_model, self.accepted
+            )
+        )
         lap("tracking")
         row: dict[str, Any] = {"frame": frame.index, "t_ns": frame.t_ns, "tracking": tracked.state}
         if tracked.box is not None:
@@ -82,8 +91,12 @@ class Perception:
         wanted = config.observation
         if self.fusion.model is None:
             # the first observation is the whole model: thin on a large target, it would fail the gate's 5 mm for ever
-            wanted = wanted.model_copy(update={"max_points": max(wanted.max_points, config.fusion.max_model_points)})
-        observation = observe(frame, tracked, generator(config.seed, "observation", frame.index), wanted)
+            wanted = wanted.model_copy(
+                update={"max_points": max(wanted.max_points, config.fusion.max_model_points)}
+            )
+        observation = observe(
+            frame, tracked, generator(config.seed, "observation", frame.index), wanted
+        )
         lap("observation")
         registration = _register(self, frame, tracked, observation, predicted, config)
         lap("registration")
@@ -92,7 +105,9 @@ class Perception:
         estimate = _estimate(self, frame, T_base_camera, row)
         lap("estimation")
         self.T_base_camera = T_base_camera
-        return Perceived(row, tracked, self.fusion.model, self.T_camera_model, estimate, self.accepted)
+        return Perceived(
+            row, tracked, self.fusion.model, self.T_camera_model, estimate, self.accepted
+        )
 
 
 def _register(
@@ -104,14 +119,29 @@ def _register(
     config: Config,
 ) -> Registration | None:
     """None where nothing can be registered: no model yet, target lost, too few points."""
-    if state.fusion.model is None or observation is None or tracked.state != "tracked" or predicted is None:
+    if (
+        state.fusion.model is None
+        or observation is None
+        or tracked.state != "tracked"
+        or predicted is None
+    ):
         return None
     start = tracked.T_camera_model if tracked.T_camera_model is not None else predicted
-    result = register(observation, state.fusion.model, start, tracked.features, frame.camera, config.registration)
+    result = register(
+        observation, state.fusion.model, start, tracked.features, frame.camera, config.registration
+    )
     assert state.T_accepted is not None
     seconds = (frame.t_ns - state.accepted_ns) * 1e-9
-    reason = gate(result, state.T_accepted, state.fusion.model.points.mean(axis=0), seconds, config.registration)
-    return Registration(result.T_camera_model, result.fitness, result.gate_fitness, result.rmse, reason)
+    reason = gate(
+        result,
+        state.T_accepted,
+        state.fusion.model.points.mean(axis=0),
+        seconds,
+        config.registration,
+    )
+    return Registration(
+        result.T_camera_model, result.fitness, result.gate_fitness, result.rmse, reason
+    )
 
 
 def _fuse(
@@ -140,7 +170,10 @@ def _fuse(
         row["n_observed"] = len(observation.points)
     if registration is not None:
         row["icp_accepted"] = registration.accepted
-        row["icp_fitness"], row["icp_gate_fitness"] = registration.fitness, registration.gate_fitness
+        row["icp_fitness"], row["icp_gate_fitness"] = (
+            registration.fitness,
+            registration.gate_fitness,
+        )
         row["icp_rmse"], row["icp_reject_reason"] = registration.rmse, registration.reject_reason
     elif not first and tracked.state != "not_started":
         row["icp_reject_reason"] = "lost" if tracked.state == "lost" else "too_few_points"
@@ -151,7 +184,9 @@ def _fuse(
         T_model_camera = invert(state.T_camera_model)
         if registration is not None and state.fusion.model is not None:
             centre = transform(T_model_camera, observation.points).mean(axis=0)
-            row["residual_translation"] = float(np.linalg.norm(centre - state.fusion.model.points.mean(axis=0)))
+            row["residual_translation"] = float(
+                np.linalg.norm(centre - state.fusion.model.points.mean(axis=0))
+            )
         row["n_filtered"] = state.fusion.step(observation, T_model_camera, rng)
         state.T_accepted, state.accepted_ns = state.T_camera_model, frame.t_ns
     model = state.fusion.model
@@ -164,10 +199,14 @@ def _fuse(
     if frame.t_ns - state.accepted_ns <= config.estimation.null_after_s * 1e9:
         row.update(pose_columns("model", state.T_camera_model))
         centroid = transform(state.T_camera_model, model.points.mean(axis=0)[None])[0]
-        row.update(zip(("centroid_px", "centroid_py", "centroid_pz"), centroid.tolist(), strict=True))
+        row.update(
+            zip(("centroid_px", "centroid_py", "centroid_pz"), centroid.tolist(), strict=True)
+        )
 
 
-def _estimate(state: Perception, frame: Frame, T_base_camera: Array | None, row: dict[str, Any]) -> Estimate | None:
+def _estimate(
+    state: Perception, frame: Frame, T_base_camera: Array | None, row: dict[str, Any]
+) -> Estimate | None:
     """The velocity filter's step, and its columns where it is not stale."""
     measured = None
     if state.accepted and state.feature is not None and T_base_camera is not None:
@@ -180,10 +219,15 @@ def _estimate(state: Perception, frame: Frame, T_base_camera: Array | None, row:
     if measured is not None:
         place = measured
     row.update(zip(("feature_px", "feature_py", "feature_pz"), place.tolist(), strict=True))
-    row.update(zip(("velocity_x", "velocity_y", "velocity_z"), estimate.velocity.tolist(), strict=True))
+    row.update(
+        zip(("velocity_x", "velocity_y", "velocity_z"), estimate.velocity.tolist(), strict=True)
+    )
     row["velocity_sd"], row["nis"] = estimate.velocity_sd, estimate.nis
     return estimate
 
 
 def pose_columns(prefix: str, T: Array) -> dict[str, float]:
-    return {f"{prefix}_{name}": float(value) for name, value in zip(POSE, pose_from_matrix(T), strict=True)}
+    return {
+        f"{prefix}_{name}": float(value)
+        for name, value in zip(POSE, pose_from_matrix(T), strict=True)
+    }

@@ -22,7 +22,9 @@ from dgeval.perception.types import Features, Model, Observation, Registration
 Backend = Callable[[Array, Model, Array, RegistrationConfig], Array]
 
 
-def align_small_gicp(source: Array, target: Model, T_init: Array, config: RegistrationConfig) -> Array:
+def align_small_gicp(
+    source: Array, target: Model, T_init: Array, config: RegistrationConfig
+) -> Array:
     """Point-to-plane ICP of small_gicp, one thread. T_model_camera.
 
     Its clouds don't take normals from outside, so they are estimated here, on every second point of a full model; both
@@ -69,7 +71,9 @@ def align_open3d(source: Array, target: Model, T_init: Array, config: Registrati
     return np.asarray(result.transformation)
 
 
-def align_kiss_icp(source: Array, target: Model, T_init: Array, config: RegistrationConfig) -> Array:
+def align_kiss_icp(
+    source: Array, target: Model, T_init: Array, config: RegistrationConfig
+) -> Array:
     """KISS-ICP's point-to-point registration against a 5 mm voxel map, one thread. T_model_camera.
 
     Its configuration class reads the environment, so the parts are built directly; they are made for LiDAR and scaled
@@ -80,8 +84,14 @@ def align_kiss_icp(source: Array, target: Model, T_init: Array, config: Registra
 
     voxels = VoxelHashMap(voxel_size=0.005, max_distance=10.0, max_points_per_voxel=20)
     voxels.add_points(target.points)
-    registration = KissRegistration(max_num_iterations=50, convergence_criterion=1e-5, max_num_threads=1)
-    return np.asarray(registration.align_points_to_map(source, voxels, T_init, config.search_radius, config.search_radius / 3))
+    registration = KissRegistration(
+        max_num_iterations=50, convergence_criterion=1e-5, max_num_threads=1
+    )
+    return np.asarray(
+        registration.align_points_to_map(
+            source, voxels, T_init, config.search_radius, config.search_radius / 3
+        )
+    )
 
 
 BACKENDS: dict[str, Backend] = {
@@ -107,7 +117,9 @@ def import_open3d() -> Any:
     except (ImportError, OSError) as error:
         hint = "apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6, or use --set registration.method=small_gicp"
         raise MissingDependencyError(f"Open3D can't be imported ({error})", hint=hint) from error
-    o3d.utility.set_max_threads(1)  # its threads come from TBB, which OMP_NUM_THREADS does not reach
+    o3d.utility.set_max_threads(
+        1
+    )  # its threads come from TBB, which OMP_NUM_THREADS does not reach
     return o3d
 
 
@@ -157,7 +169,9 @@ def _refine(
         found = distance < config.search_radius
         q = transform(T, model.points[index[found]])
         n = model.normals[index[found]] @ T[:3, :3].T
-        H, g, used = align.depth_normal_equations(q, observation.points[found], n, sigma[found], cutoff_m)
+        H, g, used = align.depth_normal_equations(
+            q, observation.points[found], n, sigma[found], cutoff_m
+        )
         used_features = 0
         if features is not None and len(features.points) >= 6:
             Hf, gf, used_features = align.feature_normal_equations(

@@ -20,7 +20,12 @@ def grow(box: Box, share: float, pixels: float, camera: Intrinsics) -> Window:
     """The box with a border, as a pixel window inside the image (may be empty)."""
     dx, dy = (box[2] - box[0]) * share + pixels, (box[3] - box[1]) * share + pixels
     x0, y0 = max(0, int(box[0] - dx)), max(0, int(box[1] - dy))
-    return x0, y0, min(camera.width, int(np.ceil(box[2] + dx))), min(camera.height, int(np.ceil(box[3] + dy)))
+    return (
+        x0,
+        y0,
+        min(camera.width, int(np.ceil(box[2] + dx))),
+        min(camera.height, int(np.ceil(box[3] + dy))),
+    )
 
 
 def is_empty(window: Window) -> bool:
@@ -30,7 +35,9 @@ def is_empty(window: Window) -> bool:
 def points_of(depth: NDArray[np.float32], window: Window, mask: Mask, camera: Intrinsics) -> Array:
     """Camera points (n, 3) of the masked pixels of a depth window, in row order."""
     v, u = np.nonzero(mask)
-    return camera.backproject(u + float(window[0]), v + float(window[1]), depth[v, u].astype(np.float64))
+    return camera.backproject(
+        u + float(window[0]), v + float(window[1]), depth[v, u].astype(np.float64)
+    )
 
 
 def fill(depth: NDArray[np.float32], size: int = 3) -> NDArray[np.float32]:
@@ -62,25 +69,37 @@ def surrounding_plane(
     v, u = np.nonzero(around)
     step = max(1, len(v) // 600)
     v, u = v[::step], u[::step]
-    points = camera.backproject(u + float(window[0]), v + float(window[1]), depth[v, u].astype(np.float64))
+    points = camera.backproject(
+        u + float(window[0]), v + float(window[1]), depth[v, u].astype(np.float64)
+    )
     return fit_plane(points, rng, config)
 
 
-def height_map(depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane) -> NDArray[np.float32]:
+def height_map(
+    depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane
+) -> NDArray[np.float32]:
     """Height m over the plane of every pixel of a window (meaningless where depth is 0)."""
     u = plane.n[0] * (np.arange(window[0], window[2]) - camera.cx) / camera.fx
     v = plane.n[1] * (np.arange(window[1], window[3]) - camera.cy) / camera.fy + plane.n[2]
-    return np.asarray(depth * (u[None, :] + v[:, None]).astype(np.float32) + np.float32(plane.d), dtype=np.float32)
+    return np.asarray(
+        depth * (u[None, :] + v[:, None]).astype(np.float32) + np.float32(plane.d), dtype=np.float32
+    )
 
 
 def above_plane(
-    depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane | None, config: PlaneConfig
+    depth: NDArray[np.float32],
+    window: Window,
+    camera: Intrinsics,
+    plane: Plane | None,
+    config: PlaneConfig,
 ) -> Mask:
     """Pixels with depth that stand clear of the plane on the camera's side."""
     valid: Mask = depth > 0
     if plane is None:
         return valid
-    return valid & (height_map(depth, window, camera, plane) > config.tolerance_sigmas * depth_sigma(depth))
+    return valid & (
+        height_map(depth, window, camera, plane) > config.tolerance_sigmas * depth_sigma(depth)
+    )
 
 
 def components(depth: NDArray[np.float32], free: Mask) -> tuple[int, NDArray[np.int32]]:
@@ -103,16 +122,24 @@ def segment_box(depth: NDArray[np.float32], window: Window, free: Mask, box: Box
     count, labels = components(depth, free)
     inside = np.zeros(depth.shape, dtype=bool)
     x0, y0 = max(0, int(box[0]) - window[0]), max(0, int(box[1]) - window[1])
-    inside[y0 : max(0, int(np.ceil(box[3])) - window[1]), x0 : max(0, int(np.ceil(box[2])) - window[0])] = True
+    inside[
+        y0 : max(0, int(np.ceil(box[3])) - window[1]), x0 : max(0, int(np.ceil(box[2])) - window[0])
+    ] = True
     within = np.bincount(labels[inside], minlength=count)
     total = np.bincount(labels.ravel(), minlength=count)
     within[0] = 0
     if within.max() == 0:
         return free & inside
     mostly = within > 0.7 * total
-    candidates = np.where(mostly, within, 0) if (mostly & (within > 0.2 * within.max())).any() else within
+    candidates = (
+        np.where(mostly, within, 0) if (mostly & (within > 0.2 * within.max())).any() else within
+    )
     main = int(np.argmax(candidates))
-    depth_main = float(np.median(depth[(labels == main) & (depth > 0)])) if ((labels == main) & (depth > 0)).any() else 0.0
+    depth_main = (
+        float(np.median(depth[(labels == main) & (depth > 0)]))
+        if ((labels == main) & (depth > 0)).any()
+        else 0.0
+    )
     chosen = labels == main
     for label in range(1, count):
         if label != main and mostly[label] and within[label] >= 10:
@@ -127,7 +154,12 @@ def segment_box(depth: NDArray[np.float32], window: Window, free: Mask, box: Box
 
 
 def segment_model(
-    depth: NDArray[np.float32], window: Window, free: Mask, points: Array, camera: Intrinsics, reach: int
+    depth: NDArray[np.float32],
+    window: Window,
+    free: Mask,
+    points: Array,
+    camera: Intrinsics,
+    reach: int,
 ) -> Mask:
     """The target's pixels by its model at the estimated pose: near its silhouette (px) and close to it in depth.
 
@@ -135,7 +167,9 @@ def segment_model(
     """
     pixels = np.rint(camera.project(points)).astype(int) - np.array(window[:2])
     height, width = depth.shape
-    inside = (pixels[:, 0] >= 0) & (pixels[:, 0] < width) & (pixels[:, 1] >= 0) & (pixels[:, 1] < height)
+    inside = (
+        (pixels[:, 0] >= 0) & (pixels[:, 0] < width) & (pixels[:, 1] >= 0) & (pixels[:, 1] < height)
+    )
     order = np.argsort(-points[inside, 2], kind="stable")  # the nearest is written last
     drawn = np.zeros(depth.shape, np.float32)
     px = pixels[inside][order]
@@ -147,7 +181,8 @@ def segment_model(
     front = np.where(front < 10.0, front, 0.0).astype(np.float32)
     core = (front > 0) & free & (np.abs(depth - front) < 0.02)
     wide = cv2.erode(
-        np.where(front > 0, front, np.float32(10.0)).astype(np.float32), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        np.where(front > 0, front, np.float32(10.0)).astype(np.float32),
+        np.ones((2 * reach + 1, 2 * reach + 1), np.uint8),
     )
     band = (front == 0) & (wide < 10.0) & free & (depth - wide < 0.04) & (wide - depth < 0.02)
     count, labels = components(depth, core | band)
@@ -162,7 +197,9 @@ def segment_model(
 
 def without_strays(mask: Mask, valid: Mask) -> Mask:
     """The mask less pixels most of whose neighbours with depth are not in it: noise that stands out of the plane."""
-    share = cv2.blur(mask.astype(np.float32), (5, 5)) / np.maximum(cv2.blur(valid.astype(np.float32), (5, 5)), np.float32(1e-3))
+    share = cv2.blur(mask.astype(np.float32), (5, 5)) / np.maximum(
+        cv2.blur(valid.astype(np.float32), (5, 5)), np.float32(1e-3)
+    )
     return np.asarray(mask & (share > 0.4))
 
 
@@ -174,7 +211,11 @@ def smoothed(depth: NDArray[np.float32], mask: Mask) -> NDArray[np.float32]:
 
 
 def normals_at(
-    smooth: NDArray[np.float32], window: Window, v: NDArray[np.intp], u: NDArray[np.intp], camera: Intrinsics
+    smooth: NDArray[np.float32],
+    window: Window,
+    v: NDArray[np.intp],
+    u: NDArray[np.intp],
+    camera: Intrinsics,
 ) -> Array:
     """Unit normals (n, 3) towards the camera at pixels of a smoothed window; zero where a neighbour has no depth or a step."""
     step = 2
@@ -187,7 +228,11 @@ def normals_at(
     right, left, down, up = corners_
     n = cross(down - up, right - left)
     length = np.linalg.norm(n, axis=1)
-    ok = (length > 0) & (np.abs(right[:, 2] - left[:, 2]) < DEPTH_STEP) & (np.abs(down[:, 2] - up[:, 2]) < DEPTH_STEP)
+    ok = (
+        (length > 0)
+        & (np.abs(right[:, 2] - left[:, 2]) < DEPTH_STEP)
+        & (np.abs(down[:, 2] - up[:, 2]) < DEPTH_STEP)
+    )
     for corner in corners_:
         ok &= corner[:, 2] > 0
     out = np.zeros((len(v), 3))

@@ -26,7 +26,9 @@ def signed_distance(shape: LinkShape, points: Array) -> Array:
         q = np.abs(points) - np.array(shape.size)
     elif shape.kind == "cylinder":
         radius, half = shape.size
-        q = np.stack([np.hypot(points[:, 0], points[:, 1]) - radius, np.abs(points[:, 2]) - half], axis=1)
+        q = np.stack(
+            [np.hypot(points[:, 0], points[:, 1]) - radius, np.abs(points[:, 2]) - half], axis=1
+        )
     else:
         assert shape.hull is not None
         return np.asarray((points @ shape.hull[:, :3].T + shape.hull[:, 3]).max(axis=1))
@@ -35,7 +37,11 @@ def signed_distance(shape: LinkShape, points: Array) -> Array:
 
 
 def hand_pixels(
-    depth: NDArray[np.float32], origin: tuple[int, int], camera: Intrinsics, hand: Hand, margin: float
+    depth: NDArray[np.float32],
+    origin: tuple[int, int],
+    camera: Intrinsics,
+    hand: Hand,
+    margin: float,
 ) -> NDArray[np.bool_]:
     """Mask (h, w) of the pixels of a depth window whose point lies within `margin` m of a hand solid.
 
@@ -56,7 +62,9 @@ def hand_pixels(
         v, u = np.nonzero((part > 0) & (np.abs(part - centre[2]) < reach))
         if not len(v):
             continue
-        points = camera.backproject(u + float(x0 + origin[0]), v + float(y0 + origin[1]), part[v, u].astype(np.float64))
+        points = camera.backproject(
+            u + float(x0 + origin[0]), v + float(y0 + origin[1]), part[v, u].astype(np.float64)
+        )
         hit = signed_distance(shape, transform(invert(T_camera_shape), points)) < margin
         out[v[hit] + y0, u[hit] + x0] = True
     return out
@@ -75,7 +83,9 @@ def _window(
     if z <= 0.02:
         return 0, 0, shape[1], shape[0]
     radius = max(camera.fx, camera.fy) * reach / z
-    u, v = camera.project(np.array([[centre[0], centre[1], max(centre[2], 1e-3)]]))[0] - np.array(origin)
+    u, v = camera.project(np.array([[centre[0], centre[1], max(centre[2], 1e-3)]]))[0] - np.array(
+        origin
+    )
     slack = radius * (1 + max(abs(centre[0]), abs(centre[1])) / z)
     x0, x1 = max(0, int(u - slack)), min(shape[1], int(u + slack) + 2)
     y0, y1 = max(0, int(v - slack)), min(shape[0], int(v + slack) + 2)

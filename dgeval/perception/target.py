@@ -31,7 +31,9 @@ def find_target(
     v, u = np.nonzero((frame.depth > 0) & ~hand)
     step = max(1, len(v) // 2000)
     v, u = v[::step], u[::step]
-    points = frame.camera.backproject(u.astype(float), v.astype(float), frame.depth[v, u].astype(np.float64))
+    points = frame.camera.backproject(
+        u.astype(float), v.astype(float), frame.depth[v, u].astype(np.float64)
+    )
     plane = fit_plane(points, generator(config.seed, "target", frame.index), config.plane)
     if plane is None:
         return None
@@ -46,7 +48,12 @@ def find_target(
             continue
         rows, cols = np.nonzero(at)
         box = (float(cols.min()), float(rows.min()), float(cols.max() + 1), float(rows.max() + 1))
-        cut = box[0] <= 0 or box[1] <= 0 or box[2] >= frame.camera.width or box[3] >= frame.camera.height
+        cut = (
+            box[0] <= 0
+            or box[1] <= 0
+            or box[2] >= frame.camera.width
+            or box[3] >= frame.camera.height
+        )
         rank: tuple[float, ...] = (float(cut), -float(len(rows)))
         if palm_at_close is not None and T_base_camera is not None:
             palm = transform(invert(T_base_camera), palm_at_close[None])[0]

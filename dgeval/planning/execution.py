@@ -12,7 +12,12 @@ from dgeval.config import ExecutionConfig
 from dgeval.geometry import Array, rotation_angle
 
 
-def execute(hand_score: float | None, config: ExecutionConfig, T_base_palm: Array | None, T_base_grasp: Array) -> bool | None:
+def execute(
+    hand_score: float | None,
+    config: ExecutionConfig,
+    T_base_palm: Array | None,
+    T_base_grasp: Array,
+) -> bool | None:
     """True above the threshold, strictly; None without a score (none was recorded), or where the palm's pose is asked for."""
     if hand_score is None:
         return None

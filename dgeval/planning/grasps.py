@@ -30,7 +30,9 @@ from dgeval.planning.hand_overlap import depth_below, overlap, standing_points
 
 JOINT_LOW = np.tile([-0.261799, 0.0, 0.0], 5)  # rad, of the 15 joints (PAPERS 1.4)
 JOINT_HIGH = np.tile([0.261799, 1.48353, 1.13446], 5)
-UPRIGHT = np.diag([1.0, -1.0, -1.0])  # R_cloud_base of what dgeval's own weights learned: z down, whatever the camera's
+UPRIGHT = np.diag(
+    [1.0, -1.0, -1.0]
+)  # R_cloud_base of what dgeval's own weights learned: z down, whatever the camera's
 OVERLAP_POINTS = 300  # of a cloud, in which overlaps are looked for
 CHUNK = 32  # candidates whose overlap is calculated at a time
 KEPT_SLACK = 2.5  # times the overlap allowed, for the grasp chosen last: a cloud's noise shall not take it away
@@ -91,8 +93,12 @@ def networks_of(config: GraspsConfig) -> Networks:
 @cache
 def _load(generator_file: str | None, evaluator_file: str | None) -> Networks:
     shipped = Path(str(resources.files("dgeval.networks") / "weights"))
-    first = load_generator(Path(generator_file) if generator_file else shipped / "ffhnet_generator.safetensors")
-    second = load_evaluator(Path(evaluator_file) if evaluator_file else shipped / "ffhnet_evaluator_fingers.safetensors")
+    first = load_generator(
+        Path(generator_file) if generator_file else shipped / "ffhnet_generator.safetensors"
+    )
+    second = load_evaluator(
+        Path(evaluator_file) if evaluator_file else shipped / "ffhnet_evaluator_fingers.safetensors"
+    )
     networks = Networks(first, second, second.upright)
     of_evaluator = second.bn1.num_features - 12 - (N_JOINTS if second.joints else 0)
     if of_evaluator != networks.n_bps:
@@ -101,15 +107,23 @@ def _load(generator_file: str | None, evaluator_file: str | None) -> Networks:
     return networks
 
 
-def encode_cloud(points: Array, networks: Networks, support: tuple[Array, float] | None = None) -> EncodedCloud:
+def encode_cloud(
+    points: Array, networks: Networks, support: tuple[Array, float] | None = None
+) -> EncodedCloud:
     """points (m, 3) m with the axes that the networks learned; support: normal and offset of the plane they stand on."""
     mean = points.mean(axis=0)
     bps = torch.from_numpy(encode(points - mean, basis(networks.n_bps)))[None]
     some = points[:: -(-len(points) // OVERLAP_POINTS)]
-    return EncodedCloud(bps, mean, some if support is None else np.concatenate([some, standing_points(points, *support)]))
+    return EncodedCloud(
+        bps,
+        mean,
+        some if support is None else np.concatenate([some, standing_points(points, *support)]),
+    )
 
 
-def draw(bps: torch.Tensor, network: FFHGenerator, n: int, seed: int, stage: str, frame: int) -> tuple[Array, Array]:
+def draw(
+    bps: torch.Tensor, network: FFHGenerator, n: int, seed: int, stage: str, frame: int
+) -> tuple[Array, Array]:
     """n grasps of a cloud by (seed, stage, frame) alone: T (n, 4, 4) about its mean, joints (n, 15) within their limits."""
     draws = torch.Generator().manual_seed(int(generator(seed, stage, frame).integers(2**63)))
     palms = network.generate(bps, n, draws)
@@ -117,7 +131,12 @@ def draw(bps: torch.Tensor, network: FFHGenerator, n: int, seed: int, stage: str
 
 
 def propose(
-    cloud: EncodedCloud, networks: Networks, n: int, seed: int, frame: int, kept: tuple[Array, Array] | None = None
+    cloud: EncodedCloud,
+    networks: Networks,
+    n: int,
+    seed: int,
+    frame: int,
+    kept: tuple[Array, Array] | None = None,
 ) -> Candidates:
     """n grasps drawn for a cloud, the same for the same seed and frame, scored; joints within the hand's limits.
 
@@ -146,7 +165,11 @@ def overlap_allowed(rows: NDArray[np.intp], n: int, kept: bool, most: float) -> 
 
 
 def free_of(
-    cloud: EncodedCloud, T_cloud_palm: Array, joints: Array, support: tuple[Array, float] | None, most: float | Array
+    cloud: EncodedCloud,
+    T_cloud_palm: Array,
+    joints: Array,
+    support: tuple[Array, float] | None,
+    most: float | Array,
 ) -> NDArray[np.bool_]:
     """Whether the preshaped hand at poses (n, 4, 4) lies at most `most` m, (n,), deep in the cloud and below its support.
 
@@ -178,7 +201,9 @@ def way_free(
     places = np.tile(T_cloud_palm, (WAY_STEPS, 1, 1))
     shares = np.minimum(np.arange(1, WAY_STEPS + 1) / WAY_STEPS * config.way_m, length) / length
     places[:, :3, 3] += shares[:, None] * back
-    return bool(free_of(cloud, places, np.tile(joints, (WAY_STEPS, 1)), support, config.max_overlap).all())
+    return bool(
+        free_of(cloud, places, np.tile(joints, (WAY_STEPS, 1)), support, config.max_overlap).all()
+    )
 
 
 class Feasible:
@@ -188,7 +213,9 @@ class Feasible:
     """
 
     def __init__(
-        self, free: Callable[[NDArray[np.intp]], NDArray[np.bool_]] | None, reaches: Callable[[int], bool] | None
+        self,
+        free: Callable[[NDArray[np.intp]], NDArray[np.bool_]] | None,
+        reaches: Callable[[int], bool] | None,
     ) -> None:
         self._free, self._reaches = free, reaches
         self._known_free: dict[int, bool] = {}

@@ -10,9 +10,21 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array, invert
-from dgeval.robots.dlr_hit_hand import CHAIN, FINGER_MOUNTS, FINGERS, PALM_BOXES, RADIUS, T_hand_palm, capsule_ends, pose
+from dgeval.robots.dlr_hit_hand import (
+    CHAIN,
+    FINGER_MOUNTS,
+    FINGERS,
+    PALM_BOXES,
+    RADIUS,
+    T_hand_palm,
+    capsule_ends,
+    pose,
+)
 
-COLUMN, LEVEL = 0.009, 0.014  # m; of the points put under what was seen: across, and from one to the next below it
+COLUMN, LEVEL = (
+    0.009,
+    0.014,
+)  # m; of the points put under what was seen: across, and from one to the next below it
 
 
 def finger_axes(joints: Array) -> Array:
@@ -36,20 +48,37 @@ def finger_axes(joints: Array) -> Array:
 def overlap(points: Array, T_cloud_palm: Array, joints: Array) -> Array:
     """Depth (n,) m of the deepest of the cloud's points (m, 3) inside the hand at each palm pose (n, 4, 4); 0 where none is."""
     T_palm_hand = invert(T_hand_palm)
-    centres = np.array([T_palm_hand[:3, :3] @ centre + T_palm_hand[:3, 3] for _, centre, _ in PALM_BOXES])
+    centres = np.array(
+        [T_palm_hand[:3, :3] @ centre + T_palm_hand[:3, 3] for _, centre, _ in PALM_BOXES]
+    )
     halves = np.array([half for half, _, _ in PALM_BOXES])
-    return np.asarray(_deepest(points, T_cloud_palm, finger_axes(joints), RADIUS, T_palm_hand[:3, :3].copy(), centres, halves))
+    return np.asarray(
+        _deepest(
+            points,
+            T_cloud_palm,
+            finger_axes(joints),
+            RADIUS,
+            T_palm_hand[:3, :3].copy(),
+            centres,
+            halves,
+        )
+    )
 
 
 def depth_below(normal: Array, offset: float, T_cloud_palm: Array, joints: Array) -> Array:
     """How far (n,) m the hand at each palm pose (n, 4, 4) reaches below the plane normal . p = offset; negative: above it."""
     T_palm_hand = invert(T_hand_palm)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
-    corners = np.concatenate([np.array(centre) + signs * np.array(half) for half, centre, _ in PALM_BOXES])
+    corners = np.concatenate(
+        [np.array(centre) + signs * np.array(half) for half, centre, _ in PALM_BOXES]
+    )
     corners = corners @ T_palm_hand[:3, :3].T + T_palm_hand[:3, 3]
     along = T_cloud_palm[:, :3, :3].transpose(0, 2, 1) @ normal  # the normal in each palm's frame
     at = T_cloud_palm[:, :3, 3] @ normal - offset
-    fingers = np.einsum("nkec,nc->nke", finger_axes(joints), along).reshape(len(joints), -1).min(axis=1) - RADIUS
+    fingers = (
+        np.einsum("nkec,nc->nke", finger_axes(joints), along).reshape(len(joints), -1).min(axis=1)
+        - RADIUS
+    )
     palm = (along @ corners.T).min(axis=1)
     return np.asarray(-(np.minimum(fingers, palm) + at))
 
@@ -67,7 +96,9 @@ def standing_points(points: Array, normal: Array, offset: float) -> Array:
     np.maximum.at(top, which.ravel(), height)
     levels = np.arange(LEVEL / 2, max(float(top.max()), LEVEL), LEVEL)
     cell, level = np.nonzero(levels[None] < top[:, None] - COLUMN)
-    return np.asarray((at[cell] + 0.5) * COLUMN @ across + (levels[level] + offset)[:, None] * normal)
+    return np.asarray(
+        (at[cell] + 0.5) * COLUMN @ across + (levels[level] + offset)[:, None] * normal
+    )
 
 
 @njit(cache=True)

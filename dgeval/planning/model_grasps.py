@@ -53,7 +53,9 @@ class ModelGrasps:
         self._config = config
         self._networks = networks_of(config.grasps)
         self._coming: Delayed[_Drawn] = Delayed(config.schedule.grasps_latency_s)
-        self._kept: tuple[Array, Array] | None = None  # T_model_palm and joints of the grasp chosen last
+        self._kept: tuple[Array, Array] | None = (
+            None  # T_model_palm and joints of the grasp chosen last
+        )
         robot = trial.robot
         self._arm: Arm | None = None
         if robot.description is not None and robot.base_frame and robot.palm_frame:
@@ -81,7 +83,11 @@ class ModelGrasps:
         poses = T_base_cloud @ candidates.T_cloud_palm
         row["n_grasps"] = len(poses)
         support, most = at[1].support, config.grasps.max_overlap
-        metric = candidates.scores if palm is None else grasp_metric(poses, candidates.scores, palm, config.selection)
+        metric = (
+            candidates.scores
+            if palm is None
+            else grasp_metric(poses, candidates.scores, palm, config.selection)
+        )
         chosen = Feasible(
             lambda rows: free_of(
                 cloud,
@@ -103,7 +109,9 @@ class ModelGrasps:
         score = evaluate(cloud, self._networks, (invert(T_base_cloud) @ palm)[None], joints[None])
         return Choice(poses[chosen], float(score[0]))
 
-    def _draw(self, frame: Frame, T_base_camera: Array, model: Model, T_camera_model: Array) -> _Drawn:
+    def _draw(
+        self, frame: Frame, T_base_camera: Array, model: Model, T_camera_model: Array
+    ) -> _Drawn:
         T_base_cloud = T_base_camera.copy()
         T_base_cloud[:3, :3] = self._networks.R_cloud_base(T_base_camera).T
         T_cloud_model = invert(T_base_cloud) @ T_base_camera @ T_camera_model
@@ -112,12 +120,24 @@ class ModelGrasps:
         cloud = encode_cloud(transform(T_cloud_model, model.points), self._networks, support)
         kept = None if self._kept is None else (T_cloud_model @ self._kept[0], self._kept[1])
         n, seed = self._config.grasps.candidates, self._config.seed
-        return _Drawn(cloud, support, propose(cloud, self._networks, n, seed, frame.index, kept), T_base_cloud, T_cloud_model)
+        return _Drawn(
+            cloud,
+            support,
+            propose(cloud, self._networks, n, seed, frame.index, kept),
+            T_base_cloud,
+            T_cloud_model,
+        )
 
-    def _reaches(self, poses: Array, t_ns: int, drawn: _Drawn, palm: Array | None) -> Callable[[int], bool] | None:
+    def _reaches(
+        self, poses: Array, t_ns: int, drawn: _Drawn, palm: Array | None
+    ) -> Callable[[int], bool] | None:
         """Whether the way to a pose is free, and the arm reaches it from where it is, as far as each is known."""
         arm, config, candidates = self._arm, self._config.grasps, drawn.candidates
-        hand = None if palm is None or config.way_m == 0.0 else (invert(drawn.T_base_cloud) @ palm)[:3, 3]
+        hand = (
+            None
+            if palm is None or config.way_m == 0.0
+            else (invert(drawn.T_base_cloud) @ palm)[:3, 3]
+        )
         start: Array | None = None
         if arm is not None:
             gap = round(self._config.sync.max_pose_gap_s * 1e9)

@@ -44,7 +44,9 @@ class Arm:
 
     def solve(self, T_base_palm: Array, q: Array) -> Array | None:
         """Joint positions (n,) within the limits, found from q on, that bring the palm to a pose; None: not found."""
-        low, high = (np.array([getattr(j, edge) for j in self.movable]) for edge in ("lower", "upper"))
+        low, high = (
+            np.array([getattr(j, edge) for j in self.movable]) for edge in ("lower", "upper")
+        )
         inside = np.where(np.isfinite(high - low), np.minimum(1e-3, 0.01 * (high - low)), 1e-3)
         scale = np.array([1.0] * 3 + [WEIGHT] * 3)
 
@@ -57,8 +59,13 @@ class Arm:
             return np.asarray(self.palm(x)[1] * scale[:, None])
 
         start = np.clip(q, low + inside, high - inside)
-        found = least_squares(error, start, jacobian, bounds=(low, high), max_nfev=EVALUATIONS, xtol=1e-10)
-        reached = np.linalg.norm(found.fun[:3]) < POSITION_M and np.linalg.norm(found.fun[3:]) < ANGLE_RAD * WEIGHT
+        found = least_squares(
+            error, start, jacobian, bounds=(low, high), max_nfev=EVALUATIONS, xtol=1e-10
+        )
+        reached = (
+            np.linalg.norm(found.fun[:3]) < POSITION_M
+            and np.linalg.norm(found.fun[3:]) < ANGLE_RAD * WEIGHT
+        )
         return np.asarray(found.x) if reached else None
 
 

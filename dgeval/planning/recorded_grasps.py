@@ -47,6 +47,8 @@ class RecordedGrasps:
         grasp, palm = at[1], frame.T_base_palm
         row["n_grasps"] = 1
         if palm is not None and grasp.score is not None:
-            metric = grasp_metric(grasp.T_base_palm[None], np.array([grasp.score]), palm, self._config.selection)
+            metric = grasp_metric(
+                grasp.T_base_palm[None], np.array([grasp.score]), palm, self._config.selection
+            )
             row["grasp_metric"] = float(metric[0])
         return Choice(grasp.T_base_palm, grasp.score)

@@ -10,7 +10,9 @@ from dgeval.config import SelectionConfig
 from dgeval.geometry import Array
 
 
-def grasp_metric(T_base_palm: Array, scores: Array, T_base_hand_palm: Array, config: SelectionConfig) -> Array:
+def grasp_metric(
+    T_base_palm: Array, scores: Array, T_base_hand_palm: Array, config: SelectionConfig
+) -> Array:
     """m_0 + m_1 (n,) of candidates for the robot's palm pose: score s_G less the weighted distance in position and rotation.
 
     T_base_palm (n, 4, 4) and scores (n,) of the candidates; T_base_hand_palm (4, 4): where the palm is now.
@@ -18,7 +20,9 @@ def grasp_metric(T_base_palm: Array, scores: Array, T_base_hand_palm: Array, con
     R, R_hand = T_base_palm[:, :3, :3], T_base_hand_palm[:3, :3]
     d_t = np.linalg.norm(T_base_palm[:, :3, 3] - T_base_hand_palm[:3, 3], axis=1)
     if config.rotation_vector_difference:
-        d_r = np.linalg.norm(Rotation.from_matrix(R).as_rotvec() - Rotation.from_matrix(R_hand).as_rotvec(), axis=1)
+        d_r = np.linalg.norm(
+            Rotation.from_matrix(R).as_rotvec() - Rotation.from_matrix(R_hand).as_rotvec(), axis=1
+        )
     else:
         d_r = Rotation.from_matrix(R_hand.T @ R).magnitude()
     if config.literal_eq5:

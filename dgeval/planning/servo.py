@@ -56,7 +56,13 @@ class Servo:
         self._derivative = np.zeros(6)
 
     def step(
-        self, t_ns: int, T_base_palm: Array, T_base_grasp: Array, T_base_camera: Array | None, target: Array, velocity: Array
+        self,
+        t_ns: int,
+        T_base_palm: Array,
+        T_base_grasp: Array,
+        T_base_camera: Array | None,
+        target: Array,
+        velocity: Array,
     ) -> ServoCommand:
         """Command for the recorded palm towards the grasp; target (3,) m and velocity (3,) m/s of the object, base frame.
 
@@ -71,7 +77,11 @@ class Servo:
         axis = T_base_grasp[:3, :3] @ ALONG_FINGERS
         if t_G @ axis > 0:
             t_G = t_G + c.beyond_m * axis
-        r = r_G if T_base_camera is None else blend_rotation(distance, look_at_rotation(T_base_camera, target), r_G, c)
+        r = (
+            r_G
+            if T_base_camera is None
+            else blend_rotation(distance, look_at_rotation(T_base_camera, target), r_G, c)
+        )
         error = np.concatenate([t_G, r])
         if self._last is not None and t_ns > self._last[0]:
             dt = (t_ns - self._last[0]) * 1e-9

@@ -29,7 +29,9 @@ class StampFaults:
         return self.backward + self.duplicate
 
 
-def clean_stamps(header_ns: Ints, log_ns: Ints, offset_ns: int, jump_ns: int) -> tuple[Ints, Ints, StampFaults]:
+def clean_stamps(
+    header_ns: Ints, log_ns: Ints, offset_ns: int, jump_ns: int
+) -> tuple[Ints, Ints, StampFaults]:
     """Usable stamps, strictly rising, their ordinals in the topic, and what was wrong with the others."""
     zero = header_ns == 0
     stamps = np.where(zero, log_ns, header_ns) + offset_ns

@@ -48,12 +48,17 @@ def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
 
 def _topic(found: Scan, name: str) -> dict[str, Any]:
     topic = found.opened.topics[name]
-    header, log = found.times[name].arrays() if name in found.times else (np.zeros(0, np.int64),) * 2
+    header, log = (
+        found.times[name].arrays() if name in found.times else (np.zeros(0, np.int64),) * 2
+    )
     out: dict[str, Any] = {"name": name, "type": topic.type, "count": len(log)}
     if len(log) > 1:
         gaps = np.diff(log) * 1e-9
         span = float(log[-1] - log[0]) * 1e-9
-        out.update(rate_hz=round((len(log) - 1) / span, 3) if span > 0 else None, largest_gap_s=round(float(gaps.max()), 4))
+        out.update(
+            rate_hz=round((len(log) - 1) / span, 3) if span > 0 else None,
+            largest_gap_s=round(float(gaps.max()), 4),
+        )
         if len(found.times[name].header_ns) == len(log):
             # recorder time less header time, straight line through it: offset, drift, and what is left as jitter
             late = (log - header) * 1e-9
@@ -66,14 +71,20 @@ def _topic(found: Scan, name: str) -> dict[str, Any]:
             )
     head = found.images.get(name)
     if head:
-        out.update(image=f"{head.width}x{head.height} {head.encoding}", frame_id=head.frame_id, stated=head.format)
+        out.update(
+            image=f"{head.width}x{head.height} {head.encoding}",
+            frame_id=head.frame_id,
+            stated=head.format,
+        )
     if found.undecodable.get(name):
         out["undecodable"] = found.undecodable[name]
     return out
 
 
 def _roles(found: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, Any]:
-    out: dict[str, Any] = {r: getattr(roles, r) for r in ("colour", "depth", "intrinsics", "hand_joints")}
+    out: dict[str, Any] = {
+        r: getattr(roles, r) for r in ("colour", "depth", "intrinsics", "hand_joints")
+    }
     camera = palm = None
     if robot is not None:
         if robot.base_frame is not None:
@@ -81,9 +92,13 @@ def _roles(found: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, An
         palm = robot.palm_frame
     out["camera_pose"] = camera
     out["hand_pose"] = palm
-    out["description"] = "recorded or configured" if robot is not None and robot.description else None
+    out["description"] = (
+        "recorded or configured" if robot is not None and robot.description else None
+    )
     out["events"] = "recorded" if found.events else None
-    out["belief"] = sorted(t for t in found.opened.topics if t.startswith("/dgeval/belief/")) or None
+    out["belief"] = (
+        sorted(t for t in found.opened.topics if t.startswith("/dgeval/belief/")) or None
+    )
     out["truth"] = sorted(t for t in found.opened.topics if t.startswith("/truth/")) or None
     if roles.passed_over:
         out["passed_over"] = roles.passed_over
@@ -116,17 +131,29 @@ def _timing(found: Scan, roles: Roles, config: Config) -> dict[str, Any]:
         out.update(skew_median_s=float(np.median(skew)), skew_largest_s=float(np.abs(skew).max()))
         if abs(float(np.median(skew))) > 0.002:
             proposed = -round(float(np.median(skew)) * 1e9)
-            out["proposal"] = f"clock.depth.offset_ns = {proposed} would centre depth on colour; nothing is applied by itself"
+            out["proposal"] = (
+                f"clock.depth.offset_ns = {proposed} would centre depth on colour; nothing is applied by itself"
+            )
     return out
 
 
-def _answers(out: dict[str, Any], found: Scan, roles: Roles, robot: RobotStates | None) -> list[dict[str, Any]]:
+def _answers(
+    out: dict[str, Any], found: Scan, roles: Roles, robot: RobotStates | None
+) -> list[dict[str, Any]]:
     """Each question with yes, or no and what is missing."""
 
     def answer(question: str, missing: list[str]) -> dict[str, Any]:
         return {"question": question, "can": not missing, "missing": missing}
 
-    images = [n for n, v in (("colour", roles.colour), ("depth", roles.depth), ("intrinsics", roles.intrinsics)) if v is None]
+    images = [
+        n
+        for n, v in (
+            ("colour", roles.colour),
+            ("depth", roles.depth),
+            ("intrinsics", roles.intrinsics),
+        )
+        if v is None
+    ]
     if not images and not out["timing"].get("pairs"):
         images = ["colour and depth that pair up in time"]
     pose = [] if robot is not None and robot.base_frame else ["camera_pose"]
@@ -138,8 +165,14 @@ def _answers(out: dict[str, Any], found: Scan, roles: Roles, robot: RobotStates 
     return [
         answer("where is the target in the camera, frame by frame", images),
         answer("how does it move in the base frame", images + pose),
-        answer("what would the controller have commanded", images + pose + hand + (belief and ["a grasp in the log"])),
+        answer(
+            "what would the controller have commanded",
+            images + pose + hand + (belief and ["a grasp in the log"]),
+        ),
         answer("how did it end, by an operator's word", label),
         answer("why did it fail", images + pose + hand + geometry + closed),
-        answer("which part of the robot's own belief is to blame", images + pose + hand + closed + belief),
+        answer(
+            "which part of the robot's own belief is to blame",
+            images + pose + hand + closed + belief,
+        ),
     ]

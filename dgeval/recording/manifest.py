@@ -34,7 +34,9 @@ class _ManifestTrial(BaseModel):
 class _Manifest(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str = ""
-    simulate: dict[str, Any] = {}  # how simulated recordings are made again; not needed to read them
+    simulate: dict[
+        str, Any
+    ] = {}  # how simulated recordings are made again; not needed to read them
     trial: list[_ManifestTrial]
 
 
@@ -63,25 +65,44 @@ def find_trials(paths: list[Path], events_topic: str | None = None) -> list[Tria
         if path.suffix == ".toml":
             specs.extend(_from_manifest(path))
         elif path.is_dir() and not _is_recording(path):
-            inside = sorted(p for p in path.rglob("*") if _is_recording(p) and not _is_recording(p.parent))
+            inside = sorted(
+                p for p in path.rglob("*") if _is_recording(p) and not _is_recording(p.parent)
+            )
             if not inside:
-                raise UnreadableError("no recording (.mcap, .bag, .db3) below this folder", Place(str(path)))
+                raise UnreadableError(
+                    "no recording (.mcap, .bag, .db3) below this folder", Place(str(path))
+                )
             for file in inside:
                 relative = file.relative_to(path)
-                specs.extend(_of_recording(file, str(relative.with_suffix("") if file.is_file() else relative), events_topic))
+                specs.extend(
+                    _of_recording(
+                        file,
+                        str(relative.with_suffix("") if file.is_file() else relative),
+                        events_topic,
+                    )
+                )
         else:
-            specs.extend(_of_recording(path, path.stem if path.suffix in SUFFIXES else path.name, events_topic))
+            specs.extend(
+                _of_recording(
+                    path, path.stem if path.suffix in SUFFIXES else path.name, events_topic
+                )
+            )
     ids = [s.id for s in specs]
     twice = sorted({i for i in ids if ids.count(i) > 1})
     if twice:
-        raise UsageError(f"trial ids are not unique: {', '.join(twice)}", hint="give a manifest with an id per trial")
+        raise UsageError(
+            f"trial ids are not unique: {', '.join(twice)}",
+            hint="give a manifest with an id per trial",
+        )
     return specs
 
 
 def _is_recording(path: Path) -> bool:
     """A recording file, or a ROS 2 folder with its metadata; without metadata its files stand for themselves."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file() and any(p.suffix in (".mcap", ".db3") for p in path.iterdir())
+        return (path / "metadata.yaml").is_file() and any(
+            p.suffix in (".mcap", ".db3") for p in path.iterdir()
+        )
     return path.suffix in SUFFIXES
 
 
@@ -120,9 +141,15 @@ def _from_manifest(path: Path) -> list[TrialSpec]:
         recording = path.parent / entry.recording
         given = entry.model_dump(exclude={"recording", "id"})
         if entry.start_ns is None and entry.frames is None:
-            for spec in _of_recording(recording, entry.id or str(Path(entry.recording).with_suffix("")), None):
+            for spec in _of_recording(
+                recording, entry.id or str(Path(entry.recording).with_suffix("")), None
+            ):
                 times = {"start_ns": spec.start_ns, "end_ns": entry.end_ns or spec.end_ns}
                 out.append(TrialSpec(spec.id, recording, **{**given, **times}))
         else:
-            out.append(TrialSpec(entry.id or str(Path(entry.recording).with_suffix("")), recording, **given))
+            out.append(
+                TrialSpec(
+                    entry.id or str(Path(entry.recording).with_suffix("")), recording, **given
+                )
+            )
     return out

@@ -15,7 +15,11 @@ from dgeval.geometry import Array, Intrinsics
 IMAGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"})
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 POSE_TYPES = frozenset(
-    {"geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry"}
+    {
+        "geometry_msgs/msg/PoseStamped",
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "nav_msgs/msg/Odometry",
+    }
 )
 
 
@@ -48,7 +52,16 @@ class StampedPose:
 def pose_numbers(position: Any, orientation: Any) -> Array:
     """(7,) px py pz qx qy qz qw, normalised. ValueError for NaN or a quaternion whose norm is not near 1."""
     pose = np.array(
-        [position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w], dtype=np.float64
+        [
+            position.x,
+            position.y,
+            position.z,
+            orientation.x,
+            orientation.y,
+            orientation.z,
+            orientation.w,
+        ],
+        dtype=np.float64,
     )
     norm = float(np.linalg.norm(pose[3:]))
     if not np.isfinite(pose).all() or not 0.9 < norm < 1.1:
@@ -72,7 +85,9 @@ def poses_of(message: Any) -> list[StampedPose]:
     pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
     child = getattr(message, "child_frame_id", "").lstrip("/")
     parent = message.header.frame_id.lstrip("/")
-    return [StampedPose(stamp_ns(message), parent, child, pose_numbers(pose.position, pose.orientation))]
+    return [
+        StampedPose(stamp_ns(message), parent, child, pose_numbers(pose.position, pose.orientation))
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +101,19 @@ class CameraModel:
 
 def camera_model(message: Any) -> CameraModel:
     """sensor_msgs/CameraInfo of either ROS version. ValueError for a matrix that can't be a camera's."""
-    k = np.asarray(message.k if hasattr(message, "k") else message.K, dtype=np.float64).reshape(3, 3)
+    k = np.asarray(message.k if hasattr(message, "k") else message.K, dtype=np.float64).reshape(
+        3, 3
+    )
     d = np.asarray(message.d if hasattr(message, "d") else message.D, dtype=np.float64).ravel()
     fx, fy, cx, cy = float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
     if not (math.isfinite(fx + fy + cx + cy) and fx > 0 and fy > 0):
         raise ValueError(f"camera matrix {k.tolist()} is not a camera's")
     frame = message.header.frame_id.lstrip("/")
-    return CameraModel(Intrinsics(int(message.width), int(message.height), fx, fy, cx, cy), frame, tuple(d.tolist()))
+    return CameraModel(
+        Intrinsics(int(message.width), int(message.height), fx, fy, cx, cy),
+        frame,
+        tuple(d.tolist()),
+    )
 
 
 def cloud_points(message: Any) -> Array:
@@ -103,9 +124,16 @@ def cloud_points(message: Any) -> Array:
         raise ValueError("a cloud without floating point x, y, z")
     order = ">" if message.is_bigendian else "<"
     at = {n: (order + kinds[fields[n].datatype], int(fields[n].offset)) for n in "xyz"}
-    layout = {"names": list(at), "formats": [a[0] for a in at.values()], "offsets": [a[1] for a in at.values()]}
+    layout = {
+        "names": list(at),
+        "formats": [a[0] for a in at.values()],
+        "offsets": [a[1] for a in at.values()],
+    }
     kind = np.dtype({**layout, "itemsize": int(message.point_step)})  # type: ignore[call-overload]
-    data, count = np.asarray(message.data, dtype=np.uint8).tobytes(), int(message.width) * int(message.height)
+    data, count = (
+        np.asarray(message.data, dtype=np.uint8).tobytes(),
+        int(message.width) * int(message.height),
+    )
     if len(data) < count * kind.itemsize:
         raise ValueError(f"a cloud of {count} points with {len(data)} bytes")
     rows = np.frombuffer(data, kind, count)
@@ -123,8 +151,12 @@ class JointSample:
 
 
 def joints_of(message: Any) -> JointSample:
-    values = {n: float(v) for n, v in zip(message.name, message.position, strict=False) if abs(v) < 1e6}
-    efforts = {n: float(v) for n, v in zip(message.name, message.effort, strict=False) if abs(v) < 1e6}
+    values = {
+        n: float(v) for n, v in zip(message.name, message.position, strict=False) if abs(v) < 1e6
+    }
+    efforts = {
+        n: float(v) for n, v in zip(message.name, message.effort, strict=False) if abs(v) < 1e6
+    }
     return JointSample(stamp_ns(message), values, efforts)
 
 
@@ -148,4 +180,6 @@ def event_of(text: str, log_ns: int) -> Event:
     t_ns = value.get("t_ns", log_ns)
     if not isinstance(t_ns, int):
         raise ValueError(f"t_ns of an event is not a whole number: {text[:80]!r}")
-    return Event(t_ns, value["event"], {k: v for k, v in value.items() if k not in ("event", "t_ns")})
+    return Event(
+        t_ns, value["event"], {k: v for k, v in value.items() if k not in ("event", "t_ns")}
+    )

@@ -84,7 +84,9 @@ class RobotStates:
             T = self.tree.lookup(self.camera_frame, link, t_ns)
             if T is None:
                 return None
-            out.extend((shape, T @ shape.T_link_shape) for shape in self.description.shapes.get(link, []))
+            out.extend(
+                (shape, T @ shape.T_link_shape) for shape in self.description.shapes.get(link, [])
+            )
         return out
 
 
@@ -104,13 +106,21 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     description = _description(scan, config)
     if description is not None:
         notes.extend(description.notes)
-        track = JointTrack.of(scan.joints.get(roles.hand_joints or "", []), config.clock.hand_joints.offset_ns)
+        track = JointTrack.of(
+            scan.joints.get(roles.hand_joints or "", []), config.clock.hand_joints.offset_ns
+        )
         _add_joints(tree, description, track, max_gap_ns)
     if config.calibration.T_flange_camera is not None:
         if config.calibration.flange is None:
-            raise UsageError("calibration.T_flange_camera needs calibration.flange, the link it refers to")
+            raise UsageError(
+                "calibration.T_flange_camera needs calibration.flange, the link it refers to"
+            )
         tree.moving.pop(camera, None)
-        tree.add_static(config.calibration.flange, camera, matrix_from_pose(np.array(config.calibration.T_flange_camera)))
+        tree.add_static(
+            config.calibration.flange,
+            camera,
+            matrix_from_pose(np.array(config.calibration.T_flange_camera)),
+        )
     if tree.parent(camera) is None and roles.camera_pose:
         for pose in scan.poses[roles.camera_pose]:
             tree.add_moving(pose.t_ns + offset, pose.parent or "base", camera, pose.pose)
@@ -139,13 +149,19 @@ def _description(scan: Scan, config: Config) -> Description | None:
         try:
             text = Path(source).read_text(encoding="utf-8")
         except OSError as error:
-            raise UsageError(f"the robot description can't be read ({error.strerror})", Place(source)) from error
+            raise UsageError(
+                f"the robot description can't be read ({error.strerror})", Place(source)
+            ) from error
     if text is None:
         return None
-    return load_description(text, source, config.calibration.mesh_dirs, config.self_filter.radius_default)
+    return load_description(
+        text, source, config.calibration.mesh_dirs, config.self_filter.radius_default
+    )
 
 
-def _add_joints(tree: TransformTree, description: Description, track: JointTrack, max_gap_ns: int) -> None:
+def _add_joints(
+    tree: TransformTree, description: Description, track: JointTrack, max_gap_ns: int
+) -> None:
     for child, joint in description.joints.items():
         if joint.kind == "fixed":
             if child not in tree.static:
@@ -163,7 +179,9 @@ def _palm(scan: Scan, roles: Roles, config: Config, tree: TransformTree) -> str 
     frames = tree.frames()
     if config.frames.palm is not None:
         if config.frames.palm not in frames:
-            raise UsageError(f"frames.palm = {config.frames.palm!r} is in neither tf nor the robot description")
+            raise UsageError(
+                f"frames.palm = {config.frames.palm!r} is in neither tf nor the robot description"
+            )
         return config.frames.palm
     named = sorted(f for f in frames if "palm" in f.lower())
     if named:
@@ -171,7 +189,9 @@ def _palm(scan: Scan, roles: Roles, config: Config, tree: TransformTree) -> str 
     if roles.hand_pose:
         offset = config.clock.hand_pose.offset_ns
         for pose in scan.poses[roles.hand_pose]:
-            tree.add_moving(pose.t_ns + offset, pose.parent or "base", "palm (hand_pose)", pose.pose)
+            tree.add_moving(
+                pose.t_ns + offset, pose.parent or "base", "palm (hand_pose)", pose.pose
+            )
         return "palm (hand_pose)"
     return None
 

@@ -32,9 +32,14 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
     topics = scan.opened.topics
     for role, name in config.model_dump().items():
         if name is not None and name not in topics:
-            listed = "; ".join(f"{t.name} ({t.type}, {t.count})" for t in sorted(topics.values(), key=lambda t: t.name))
+            listed = "; ".join(
+                f"{t.name} ({t.type}, {t.count})"
+                for t in sorted(topics.values(), key=lambda t: t.name)
+            )
             place = Place(str(scan.opened.path))
-            raise UsageError(f"roles.{role} = {name!r} is not in the recording, which has: {listed}", place)
+            raise UsageError(
+                f"roles.{role} = {name!r} is not in the recording, which has: {listed}", place
+            )
     passed: dict[str, list[str]] = {}
 
     def choose(role: str, ranked: list[str]) -> str | None:
@@ -49,15 +54,29 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
     colour = config.colour or choose(
         "colour",
         sorted(
-            (n for n, h in heads.items() if h.encoding in COLOUR_ENCODINGS and "depth" not in n.lower()),
-            key=lambda n: (not _has(n, "color", "colour", "rgb"), _has(n, "infra", "left", "right"), -_count(scan, n), n),
+            (
+                n
+                for n, h in heads.items()
+                if h.encoding in COLOUR_ENCODINGS and "depth" not in n.lower()
+            ),
+            key=lambda n: (
+                not _has(n, "color", "colour", "rgb"),
+                _has(n, "infra", "left", "right"),
+                -_count(scan, n),
+                n,
+            ),
         ),
     )
     depth = config.depth or choose(
         "depth",
         sorted(
             (n for n, h in heads.items() if h.encoding in DEPTH_ENCODINGS),
-            key=lambda n: (not _has(n, "aligned", "registered"), not _has(n, "depth"), -_count(scan, n), n),
+            key=lambda n: (
+                not _has(n, "aligned", "registered"),
+                not _has(n, "depth"),
+                -_count(scan, n),
+                n,
+            ),
         ),
     )
     intrinsics = config.intrinsics
@@ -66,7 +85,10 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
         intrinsics = near[0] if near else None
     joints = config.hand_joints or choose(
         "hand_joints",
-        sorted((n for n in scan.joints if used(n)), key=lambda n: (not _has(n, "joint_states"), -_count(scan, n), n)),
+        sorted(
+            (n for n in scan.joints if used(n)),
+            key=lambda n: (not _has(n, "joint_states"), -_count(scan, n), n),
+        ),
     )
     poses = [n for n in sorted(scan.poses) if used(n)]
     return Roles(
@@ -74,8 +96,12 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
         depth,
         intrinsics,
         joints,
-        config.camera_pose or choose("camera_pose", [n for n in poses if _has(n, "camera", "cam_pose", "odom")]),
-        config.hand_pose or choose("hand_pose", [n for n in poses if _has(n, "palm", "hand", "gripper", "tcp", "ee_pose")]),
+        config.camera_pose
+        or choose("camera_pose", [n for n in poses if _has(n, "camera", "cam_pose", "odom")]),
+        config.hand_pose
+        or choose(
+            "hand_pose", [n for n in poses if _has(n, "palm", "hand", "gripper", "tcp", "ee_pose")]
+        ),
         passed,
     )
 

@@ -47,7 +47,11 @@ class TopicTimes:
     def arrays(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Header stamps and log times; log times stand in where there is no header."""
         log = np.array(self.log_ns, dtype=np.int64)
-        header = np.array(self.header_ns, dtype=np.int64) if len(self.header_ns) == len(self.log_ns) else log
+        header = (
+            np.array(self.header_ns, dtype=np.int64)
+            if len(self.header_ns) == len(self.log_ns)
+            else log
+        )
         return header, log
 
 
@@ -96,7 +100,9 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             if topic.type in IMAGE_TYPES:
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
                 known = out.images.get(message.topic)
-                if known is None or known.encoding == "?":  # a broken first image does not hide the topic
+                if (
+                    known is None or known.encoding == "?"
+                ):  # a broken first image does not hide the topic
                     out.images[message.topic] = _head(message, opened)
             elif topic.type == TF_TYPE:
                 latched = message.topic.endswith("static")
@@ -109,7 +115,9 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 twist = opened.decode(message)
                 times.header_ns.append(stamp_ns(twist))
                 v, w = twist.twist.linear, twist.twist.angular
-                out.twists[message.topic].append((times.header_ns[-1], np.array([v.x, v.y, v.z, w.x, w.y, w.z])))
+                out.twists[message.topic].append(
+                    (times.header_ns[-1], np.array([v.x, v.y, v.z, w.x, w.y, w.z]))
+                )
             elif topic.type == "sensor_msgs/msg/CameraInfo":
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
                 matrix = message.data[20:]  # after the stamp: equal bytes need no second look

@@ -45,7 +45,9 @@ class Track:
         before, after = self.times[at - 1], self.times[at]
         if after - before > max_gap_ns:
             return None
-        return interpolate_pose(self.poses[at - 1], self.poses[at], (t_ns - before) / (after - before))
+        return interpolate_pose(
+            self.poses[at - 1], self.poses[at], (t_ns - before) / (after - before)
+        )
 
 
 @dataclass

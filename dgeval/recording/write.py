@@ -29,7 +29,9 @@ def message(kind: str, /, **fields: Any) -> Any:
 
 def header(t_ns: int, frame_id: str) -> Any:
     return message(
-        "std_msgs/Header", stamp=message("builtin_interfaces/Time", sec=t_ns // 10**9, nanosec=t_ns % 10**9), frame_id=frame_id
+        "std_msgs/Header",
+        stamp=message("builtin_interfaces/Time", sec=t_ns // 10**9, nanosec=t_ns % 10**9),
+        frame_id=frame_id,
     )
 
 
@@ -60,26 +62,44 @@ def transform_message(t_ns: int, parent: str, child: str, pose: Any) -> Any:
 
 def jpeg_message(t_ns: int, frame_id: str, rgb: Any, quality: int = 85) -> Any:
     """(H, W, 3) uint8 RGB as image_transport's compressed JPEG."""
-    return jpeg_file_message(t_ns, frame_id, cv2.imencode(".jpg", rgb[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
+    return jpeg_file_message(
+        t_ns,
+        frame_id,
+        cv2.imencode(".jpg", rgb[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1],
+    )
 
 
 def jpeg_file_message(t_ns: int, frame_id: str, file: Any) -> Any:
     """An encoded JPEG, bytes or uint8 array."""
     data = np.frombuffer(file, np.uint8)
-    return message("sensor_msgs/CompressedImage", header=header(t_ns, frame_id), format="rgb8; jpeg compressed bgr8", data=data)
+    return message(
+        "sensor_msgs/CompressedImage",
+        header=header(t_ns, frame_id),
+        format="rgb8; jpeg compressed bgr8",
+        data=data,
+    )
 
 
 def compressed_depth_message(t_ns: int, frame_id: str, millimetres: Any, level: int = 9) -> Any:
     """uint16 mm as image_transport's compressedDepth with PNG; level 9 is smallest and slowest."""
     png = cv2.imencode(".png", millimetres, [cv2.IMWRITE_PNG_COMPRESSION, level])[1]
     data = np.concatenate([np.zeros(12, np.uint8), png.ravel()])
-    return message("sensor_msgs/CompressedImage", header=header(t_ns, frame_id), format="16UC1; compressedDepth png", data=data)
+    return message(
+        "sensor_msgs/CompressedImage",
+        header=header(t_ns, frame_id),
+        format="16UC1; compressedDepth png",
+        data=data,
+    )
 
 
 def camera_info_message(t_ns: int, frame_id: str, camera: Any) -> Any:
     k = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1], dtype=np.float64)
-    p = np.array([camera.fx, 0, camera.cx, 0, 0, camera.fy, camera.cy, 0, 0, 0, 1, 0], dtype=np.float64)
-    roi = message("sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    p = np.array(
+        [camera.fx, 0, camera.cx, 0, 0, camera.fy, camera.cy, 0, 0, 0, 1, 0], dtype=np.float64
+    )
+    roi = message(
+        "sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+    )
     return message(
         "sensor_msgs/CameraInfo", header=header(t_ns, frame_id), height=camera.height, width=camera.width,
         distortion_model="plumb_bob", d=np.zeros(5), k=k, r=np.eye(3).ravel(), p=p, binning_x=0, binning_y=0, roi=roi,
@@ -88,18 +108,27 @@ def camera_info_message(t_ns: int, frame_id: str, camera: Any) -> Any:
 
 def pose_stamped(t_ns: int, frame_id: str, T: Any) -> Any:
     """geometry_msgs/PoseStamped from T (4, 4)."""
-    return message("geometry_msgs/PoseStamped", header=header(t_ns, frame_id), pose=pose_message(pose_from_matrix(T)))
+    return message(
+        "geometry_msgs/PoseStamped",
+        header=header(t_ns, frame_id),
+        pose=pose_message(pose_from_matrix(T)),
+    )
 
 
 def twist_stamped(t_ns: int, frame_id: str, twist: Any) -> Any:
     """geometry_msgs/TwistStamped from (6,) linear m/s, angular rad/s."""
     x, y, z, a, b, c = (float(v) for v in twist)
-    both = message("geometry_msgs/Vector3", x=x, y=y, z=z), message("geometry_msgs/Vector3", x=a, y=b, z=c)
+    both = (
+        message("geometry_msgs/Vector3", x=x, y=y, z=z),
+        message("geometry_msgs/Vector3", x=a, y=b, z=c),
+    )
     twist = message("geometry_msgs/Twist", linear=both[0], angular=both[1])
     return message("geometry_msgs/TwistStamped", header=header(t_ns, frame_id), twist=twist)
 
 
-def joint_state(t_ns: int, names: Sequence[str], position: Any, velocity: Any = (), effort: Any = ()) -> Any:
+def joint_state(
+    t_ns: int, names: Sequence[str], position: Any, velocity: Any = (), effort: Any = ()
+) -> Any:
     values = [np.asarray(v, dtype=np.float64) for v in (position, velocity, effort)]
     return message(
         "sensor_msgs/JointState",
@@ -118,12 +147,20 @@ def text(value: str) -> Any:
 def png_message(t_ns: int, frame_id: str, image: Any) -> Any:
     """A one-channel image as sensor_msgs/CompressedImage."""
     data = cv2.imencode(".png", image)[1].ravel()
-    return message("sensor_msgs/CompressedImage", header=header(t_ns, frame_id), format="mono8; png compressed", data=data)
+    return message(
+        "sensor_msgs/CompressedImage",
+        header=header(t_ns, frame_id),
+        format="mono8; png compressed",
+        data=data,
+    )
 
 
 def cloud_message(t_ns: int, frame_id: str, points: Any) -> Any:
     """sensor_msgs/PointCloud2 of points (n, 3), float32 x y z."""
-    fields = [message("sensor_msgs/PointField", name=n, offset=4 * i, datatype=7, count=1) for i, n in enumerate("xyz")]
+    fields = [
+        message("sensor_msgs/PointField", name=n, offset=4 * i, datatype=7, count=1)
+        for i, n in enumerate("xyz")
+    ]
     data = np.ascontiguousarray(points, dtype="<f4").view(np.uint8).ravel()
     return message(
         "sensor_msgs/PointCloud2", header=header(t_ns, frame_id), height=1, width=len(points), fields=fields,
@@ -134,9 +171,16 @@ def cloud_message(t_ns: int, frame_id: str, points: Any) -> Any:
 class McapWriter:
     """ROS 2 profile, chunks with CRC. Messages must come in log-time order."""
 
-    def __init__(self, path: Path, compression: CompressionType = CompressionType.ZSTD, chunk_size: int = 512 * 1024) -> None:
+    def __init__(
+        self,
+        path: Path,
+        compression: CompressionType = CompressionType.ZSTD,
+        chunk_size: int = 512 * 1024,
+    ) -> None:
         self._stream = path.open("wb")
-        self._writer = Writer(self._stream, chunk_size=chunk_size, compression=compression, enable_crcs=True)
+        self._writer = Writer(
+            self._stream, chunk_size=chunk_size, compression=compression, enable_crcs=True
+        )
         self._writer.start(profile="ros2", library="dgeval")
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
@@ -154,7 +198,12 @@ class McapWriter:
     def __enter__(self) -> McapWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
 
@@ -169,14 +218,21 @@ class BagWriter:
 
     def write(self, topic: str, log_ns: int, value: Any) -> None:
         if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(topic, value.__msgtype__, typestore=STORE_ROS1)
+            self._connections[topic] = self._writer.add_connection(
+                topic, value.__msgtype__, typestore=STORE_ROS1
+            )
         data = STORE_ROS1.serialize_ros1(_as_ros1(value), value.__msgtype__)
         self._writer.write(self._connections[topic], log_ns, bytes(data))
 
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._writer.close()
 
 
@@ -192,12 +248,19 @@ class Db3Writer:
         name: str = value.__msgtype__
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, name, typestore=STORE)
-        self._writer.write(self._connections[topic], log_ns, bytes(STORE.serialize_cdr(value, name)))
+        self._writer.write(
+            self._connections[topic], log_ns, bytes(STORE.serialize_cdr(value, name))
+        )
 
     def __enter__(self) -> Db3Writer:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._writer.close()
 
 
@@ -215,7 +278,9 @@ def _as_ros1(value: Any) -> Any:
         return [_as_ros1(v) for v in value] if isinstance(value, list) else value
     if kind == "builtin_interfaces/msg/Time":
         return STORE_ROS1.types[kind](sec=value.sec, nanosec=value.nanosec)
-    given = {f.name.lower(): getattr(value, f.name) for f in fields(value) if not f.name.startswith("__")}
+    given = {
+        f.name.lower(): getattr(value, f.name) for f in fields(value) if not f.name.startswith("__")
+    }
     target: Any = STORE_ROS1.types[kind]
     return target(**{
         f.name: _as_ros1(given[f.name.lower()]) if f.name.lower() in given else 0

@@ -68,22 +68,35 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
         box = None
         if given is not None and (given_ns is None or frame.t_ns >= given_ns):
             box, given = given, None
-        elif trial.spec.bbox is None and not state.fusion.model and state.T_camera_model is None and frame.index < 30:
+        elif (
+            trial.spec.bbox is None
+            and not state.fusion.model
+            and state.T_camera_model is None
+            and frame.index < 30
+        ):
             box = find_target(frame, T_base_camera, _palm_at_close(trial), config)
         clock.lap("target")
         seen = state.step(frame, T_base_camera, box, clock.lap)
         row = seen.row
-        usable = perceived.step(frame.t_ns, (seen.estimate, seen.model, seen.T_camera_model, T_base_camera))
+        usable = perceived.step(
+            frame.t_ns, (seen.estimate, seen.model, seen.T_camera_model, T_base_camera)
+        )
         model = seen.model if seen.accepted else None
         if planner is not None:
             planner.step(frame, T_base_camera, row)
-        choice = None if grasps is None else grasps.choose(frame, T_base_camera, model, seen.T_camera_model, row)
+        choice = (
+            None
+            if grasps is None
+            else grasps.choose(frame, T_base_camera, model, seen.T_camera_model, row)
+        )
         clock.lap("grasps")
         if planner is None:
             _control(frame, T_base_camera, usable, choice, servo, row, config)
         clock.lap("control")
         shown = seen.T_camera_model if row.get("model_px") is not None else None
-        yield Step(frame, row, clock.seconds, seen.tracked, seen.model, shown, T_base_camera, seen.accepted)
+        yield Step(
+            frame, row, clock.seconds, seen.tracked, seen.model, shown, T_base_camera, seen.accepted
+        )
 
 
 def grasp_source(trial: Trial, config: Config) -> str:
@@ -93,7 +106,9 @@ def grasp_source(trial: Trial, config: Config) -> str:
     if trial.scan.poses.get(GRASP_TOPIC):
         return "recorded"
     description = trial.robot.description
-    known = description is not None and {j.name for j in description.joints.values()}.issuperset(ACTUATED)
+    known = description is not None and {j.name for j in description.joints.values()}.issuperset(
+        ACTUATED
+    )
     return "ffhnet" if known and trial.robot.palm_frame is not None else "none"
 
 
@@ -103,7 +118,9 @@ def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None
         return RecordedGrasps(config)
     if source == "none":
         return None
-    from dgeval.planning.model_grasps import ModelGrasps  # brings torch, which takes longer to import than all the rest
+    from dgeval.planning.model_grasps import (
+        ModelGrasps,
+    )  # brings torch, which takes longer to import than all the rest
 
     return ModelGrasps(trial, config)
 
@@ -111,7 +128,9 @@ def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None
 def recorded_seed(trial: Trial) -> Array | None:
     """T_base_seed (4, 4): another planner's newest proposal at the trial's start, else the first in it; None: none recorded."""
     start_ns, end_ns = trial.pairs[0][0], trial.spec.end_ns or trial.pairs[-1][0]
-    seeds = sorted((p for p in trial.scan.poses.get(SEED_TOPIC, []) if p.t_ns <= end_ns), key=lambda p: p.t_ns)
+    seeds = sorted(
+        (p for p in trial.scan.poses.get(SEED_TOPIC, []) if p.t_ns <= end_ns), key=lambda p: p.t_ns
+    )
     before = [p for p in seeds if p.t_ns <= start_ns]
     chosen = before[-1] if before else seeds[0] if seeds else None
     return None if chosen is None else matrix_from_pose(chosen.pose)

@@ -11,7 +11,9 @@ def vfas_notes(config: Config, seeded: bool) -> list[str]:
     """What ran in place of VFAS-Grasp's own parts."""
     weights = config.vfas.evaluator
     quality = "dgeval's own weights" if weights is None else f"weights {Path(weights).name}"
-    notes = [f"VFAS-Grasp's evaluator with {quality}; sliding fingers stand for its gripper's links"]
+    notes = [
+        f"VFAS-Grasp's evaluator with {quality}; sliding fingers stand for its gripper's links"
+    ]
     if config.vfas.motion_field:
         notes.append("stand-in: DIS in place of GMFlow")
     if config.vfas.noise_candidates == "top8":

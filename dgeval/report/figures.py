@@ -21,7 +21,9 @@ STYLE = {
 }  # fmt: skip
 
 
-def trial_figure(frames: pd.DataFrame, hindsight: pd.DataFrame | None, events: dict[str, int | None]) -> Figure:
+def trial_figure(
+    frames: pd.DataFrame, hindsight: pd.DataFrame | None, events: dict[str, int | None]
+) -> Figure:
     """Errors, velocity, scores, and the hand's distance to the object by hindsight over seconds; blind stretches shaded."""
     start = int(frames["t_ns"].iloc[0])
     t = (frames["t_ns"] - start).to_numpy() * 1e-9
@@ -29,7 +31,12 @@ def trial_figure(frames: pd.DataFrame, hindsight: pd.DataFrame | None, events: d
         rows = 3 if hindsight is None else 4
         figure = Figure(figsize=(7.2, 0.4 + 1.6 * rows), layout="constrained")
         axes = figure.subplots(rows, 1, sharex=True)
-        _lines(axes[0], t, frames, {"error_linear": "lin. error [m]", "error_angular": "rot. error [rad]"})
+        _lines(
+            axes[0],
+            t,
+            frames,
+            {"error_linear": "lin. error [m]", "error_angular": "rot. error [rad]"},
+        )
         axes[0].set_ylabel("hand to grasp")
         velocity = {f"velocity_{a}": f"est. velocity {a}" for a in "xyz"}
         _lines(axes[1], t, frames, velocity)
@@ -55,7 +62,11 @@ def trial_figure(frames: pd.DataFrame, hindsight: pd.DataFrame | None, events: d
                     axis.axvline((t_ns - start) * 1e-9, color="#333", lw=0.9, ls="--")
                     if axis is axes[0]:
                         axis.annotate(
-                            name, ((t_ns - start) * 1e-9, 1.0), xycoords=("data", "axes fraction"), fontsize=8, ha="center"
+                            name,
+                            ((t_ns - start) * 1e-9, 1.0),
+                            xycoords=("data", "axes fraction"),
+                            fontsize=8,
+                            ha="center",
                         )
     return figure
 
@@ -66,7 +77,9 @@ def shares_figure(title: str, shares: list[Share]) -> Figure:
         figure = Figure(figsize=(7.2, 0.9 + 0.28 * len(shares)), layout="constrained")
         axis = figure.subplots()
         y = np.arange(len(shares))[::-1]
-        axis.barh(y, [s.percent if s.n else 0 for s in shares], color=COLOURS[0], alpha=0.75, height=0.6)
+        axis.barh(
+            y, [s.percent if s.n else 0 for s in shares], color=COLOURS[0], alpha=0.75, height=0.6
+        )
         for at, s in zip(y, shares, strict=True):
             if s.n:
                 axis.plot([100 * s.low, 100 * s.high], [at, at], color="#222", lw=1.2)
@@ -75,7 +88,10 @@ def shares_figure(title: str, shares: list[Share]) -> Figure:
                 axis.plot([100 * k / n], [at], "D", color=COLOURS[1], ms=5)
         axis.set_yticks(y, [f"{s.name}  {s.k}/{s.n}" for s in shares])
         axis.set_xlim(0, 100)
-        axis.set_xlabel("%, line: Wilson 95 % interval" + (", diamond: paper" if any(s.published for s in shares) else ""))
+        axis.set_xlabel(
+            "%, line: Wilson 95 % interval"
+            + (", diamond: paper" if any(s.published for s in shares) else "")
+        )
         axis.set_title(title, loc="left", fontsize=9.5)
     return figure
 
@@ -90,7 +106,15 @@ def _lines(axis: Any, t: Any, frames: pd.DataFrame, columns: dict[str, str]) -> 
     if drawn:
         axis.legend(loc="best", ncols=len(columns))
     else:
-        axis.text(0.5, 0.5, "nothing recorded or computed", transform=axis.transAxes, ha="center", va="center", color="#888")
+        axis.text(
+            0.5,
+            0.5,
+            "nothing recorded or computed",
+            transform=axis.transAxes,
+            ha="center",
+            va="center",
+            color="#888",
+        )
 
 
 def _distance(axis: Any, start: int, hindsight: pd.DataFrame) -> None:
@@ -98,10 +122,20 @@ def _distance(axis: Any, start: int, hindsight: pd.DataFrame) -> None:
     t = (hindsight["t_ns"].to_numpy() - start) * 1e-9
     mm = 1000 * hindsight["hand_distance"].to_numpy(dtype=float)
     on_path = (hindsight["by"] == "path").to_numpy()
-    axis.plot(t, np.where(on_path, mm, np.nan), color=COLOURS[0], lw=1.6, label="object on its path")
-    axis.plot(t, np.where(on_path, np.nan, mm), color=COLOURS[1], lw=1.0, label="object as seen, or carried on")
+    axis.plot(
+        t, np.where(on_path, mm, np.nan), color=COLOURS[0], lw=1.6, label="object on its path"
+    )
+    axis.plot(
+        t,
+        np.where(on_path, np.nan, mm),
+        color=COLOURS[1],
+        lw=1.0,
+        label="object as seen, or carried on",
+    )
     axis.axhline(0.0, color="#333", lw=0.7)
-    axis.set_ylim(-30, max(60.0, min(200.0, float(np.nanmax(mm)))) if np.isfinite(mm).any() else 60.0)
+    axis.set_ylim(
+        -30, max(60.0, min(200.0, float(np.nanmax(mm)))) if np.isfinite(mm).any() else 60.0
+    )
     axis.set_ylabel("hand to object [mm]")
     axis.legend(loc="upper right")
 

@@ -12,7 +12,14 @@ import pandas as pd
 from dgeval import __version__
 from dgeval.pages import as_data_uri, template_environment
 from dgeval.report.figures import shares_figure, trial_figure
-from dgeval.report.summary import against_truth, failure_shares, read_truth, share, success_by, what_first
+from dgeval.report.summary import (
+    against_truth,
+    failure_shares,
+    read_truth,
+    share,
+    success_by,
+    what_first,
+)
 from dgeval.report.tables import stage_times, trial_summary
 from dgeval.runs.files import file_name, write_atomically
 from dgeval.runs.results import Run, read_run
@@ -32,7 +39,10 @@ def write_report(folders: list[Path], out: Path, truth: list[Path] | None = None
     page = environment.get_template("report.html").render(version=__version__, runs=shown)
     path = out / "report.html"
     write_atomically(path, page)
-    write_atomically(out / "report.md", environment.get_template("report.md").render(version=__version__, runs=shown))
+    write_atomically(
+        out / "report.md",
+        environment.get_template("report.md").render(version=__version__, runs=shown),
+    )
     tables = [r.trials.assign(run=str(r.folder)) for r in runs]
     write_atomically(out / "trials.csv", pd.concat(tables).to_csv(index=False))
     for k, run in enumerate(shown):
@@ -44,9 +54,17 @@ def write_report(folders: list[Path], out: Path, truth: list[Path] | None = None
 
 
 def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    by = {name: success_by(run.trials, name) for name in ("speed", "object", "scenario")} if len(run.trials) else {}
+    by = (
+        {name: success_by(run.trials, name) for name in ("speed", "object", "scenario")}
+        if len(run.trials)
+        else {}
+    )
     classes = failure_shares(run.trials) if len(run.trials) else []
-    figures = {f"success_by_{name}": shares_figure(f"success by {name}", s) for name, s in by.items() if len(s) > 1}
+    figures = {
+        f"success_by_{name}": shares_figure(f"success by {name}", s)
+        for name, s in by.items()
+        if len(s) > 1
+    }
     if any(s.k for s in classes):
         figures["failure_classes"] = shares_figure("failures by cause", classes)
     trials = []
@@ -60,7 +78,9 @@ def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
                 **trial_summary(frames),
                 "figure": as_data_uri(trial_figure(frames, run.hindsight(row["trial"]), events)),
                 "picture": _picture(run.folder / "pictures" / f"{file_name(row['trial'])}.jpg"),
-                "decisive_s": None if row["t_decisive_ns"] is None else (row["t_decisive_ns"] - frames["t_ns"].iloc[0]) * 1e-9,
+                "decisive_s": None
+                if row["t_decisive_ns"] is None
+                else (row["t_decisive_ns"] - frames["t_ns"].iloc[0]) * 1e-9,
                 "view": f"dgeval view {run.folder} {row['trial']}",
                 "messages": [],
             }
@@ -70,8 +90,15 @@ def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "folder": str(run.folder),
         "about": run.about,
         # failures first, the surest verdicts before the others
-        "trials": sorted(trials, key=lambda t: (t["outcome"] != "failure", -max(t[p] or 0 for p in CHANCES), t["trial"])),
-        "success": share("success", outcomes.get("success", 0), outcomes.get("success", 0) + outcomes.get("failure", 0)),
+        "trials": sorted(
+            trials,
+            key=lambda t: (t["outcome"] != "failure", -max(t[p] or 0 for p in CHANCES), t["trial"]),
+        ),
+        "success": share(
+            "success",
+            outcomes.get("success", 0),
+            outcomes.get("success", 0) + outcomes.get("failure", 0),
+        ),
         "by": by,
         "classes": classes,
         "figures": figures,
@@ -88,7 +115,11 @@ def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
 
 def _picture(path: Path) -> str | None:
     """The picture of the decisive moment inside the HTML file, None where there is none."""
-    return "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode() if path.is_file() else None
+    return (
+        "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode()
+        if path.is_file()
+        else None
+    )
 
 
 def _messages(run: Run) -> list[dict[str, Any]]:

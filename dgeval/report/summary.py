@@ -15,7 +15,12 @@ from dgeval.recording.manifest import find_trials
 from dgeval.statistics import confusion, macro_f1, wilson
 
 CLASSES = ("imprecise_pose", "collision", "timing")
-WORDS = {"imprecise_pose": "imprecise pose", "collision": "collision", "timing": "timing", "unknown": "unknown"}
+WORDS = {
+    "imprecise_pose": "imprecise pose",
+    "collision": "collision",
+    "timing": "timing",
+    "unknown": "unknown",
+}
 TRUTH_TOPIC = "/truth/verdict"
 
 
@@ -37,7 +42,9 @@ class Share:
 
 def published() -> dict[str, Any]:
     """The papers' tables as counts, by scenario."""
-    text = (resources.files("dgeval.report") / "published" / "papers.json").read_text(encoding="utf-8")
+    text = (resources.files("dgeval.report") / "published" / "papers.json").read_text(
+        encoding="utf-8"
+    )
     return dict(json.loads(text))
 
 
@@ -60,7 +67,9 @@ def success_by(trials: pd.DataFrame, column: str) -> list[Share]:
         elif column == "object" and table and name in table.get("object", {}):
             known = f"{table['object'][name]}/{table['n_per_object']}"
         elif column == "scenario" and table and "object" in table:
-            known = f"{sum(table['object'].values())}/{table['n_per_object'] * len(table['object'])}"
+            known = (
+                f"{sum(table['object'].values())}/{table['n_per_object'] * len(table['object'])}"
+            )
         out.append(share(name, int((group["outcome"] == "success").sum()), len(group), known))
     return out
 
@@ -117,9 +126,13 @@ def against_truth(trials: pd.DataFrame, truth: dict[str, dict[str, Any]]) -> dic
     known = [(r, truth[r["trial"]]) for r in trials.to_dict("records") if r["trial"] in truth]
     if not known:
         return None
-    decided = [(r["outcome"], t["outcome"]) for r, t in known if r["outcome"] in ("success", "failure")]
+    decided = [
+        (r["outcome"], t["outcome"]) for r, t in known if r["outcome"] in ("success", "failure")
+    ]
     failed = [(r, t) for r, t in known if t["outcome"] == "failure"]
-    said = [str(r["failure_class"]) if r["outcome"] == "failure" else "no failure" for r, _ in failed]
+    said = [
+        str(r["failure_class"]) if r["outcome"] == "failure" else "no failure" for r, _ in failed
+    ]
     true = [str(t["failure_class"]) for _, t in failed]
     columns = (*CLASSES, "unknown", "no failure")
     matrix = confusion(true, said, columns)[: len(CLASSES)]
@@ -135,7 +148,11 @@ def against_truth(trials: pd.DataFrame, truth: dict[str, dict[str, Any]]) -> dic
         "f1_given": macro_f1([a for a, _ in sure], [b for _, b in sure], CLASSES) if sure else None,
         "by_gap": [],
     }
-    for sided, name in (("none", "no gap"), ("one", "gap, seen before only"), ("two", "gap, seen on both sides")):
+    for sided, name in (
+        ("none", "no gap"),
+        ("one", "gap, seen before only"),
+        ("two", "gap, seen on both sides"),
+    ):
         rows = zip(failed, true, said, strict=True)
         group = [(a, b) for (r, _), a, b in rows if r["gap_sided"] == sided and b in CLASSES]
         if group:

@@ -14,7 +14,9 @@ def trial_summary(frames: pd.DataFrame) -> dict[str, Any]:
     step = np.diff(t, append=t[-1] + (float(np.median(np.diff(t))) if len(t) > 1 else 0.0))
     lost = (frames["tracking"] == "lost").to_numpy()
     blind = frames["predicted"].fillna(False).to_numpy(dtype=bool) & ~lost
-    speed = np.sqrt((frames[["velocity_x", "velocity_y", "velocity_z"]] ** 2).sum(axis=1, skipna=False))
+    speed = np.sqrt(
+        (frames[["velocity_x", "velocity_y", "velocity_z"]] ** 2).sum(axis=1, skipna=False)
+    )
     settled = speed[t > min(1.0, 0.5 * float(t[-1]))].dropna() if len(t) else speed
     fit = frames["icp_gate_fitness"].dropna()
     refused = frames["icp_reject_reason"].dropna().value_counts()
@@ -29,7 +31,9 @@ def trial_summary(frames: pd.DataFrame) -> dict[str, Any]:
         "gate_fitness": float(fit.median()) if len(fit) else None,
         "n_accepted": int(frames["icp_accepted"].fillna(False).sum()),
         "refused": {str(k): int(v) for k, v in refused.items()},
-        "n_model": int(frames["n_model"].dropna().iloc[-1]) if frames["n_model"].notna().any() else None,
+        "n_model": int(frames["n_model"].dropna().iloc[-1])
+        if frames["n_model"].notna().any()
+        else None,
     }
 
 

@@ -80,19 +80,31 @@ class Description:
 def _limits(joint: Any) -> tuple[float, float]:
     """Lower and upper of a joint with limits that leave it room; none else."""
     limit = joint.limit
-    if joint.type == "continuous" or limit is None or limit.lower is None or limit.upper is None or limit.lower >= limit.upper:
+    if (
+        joint.type == "continuous"
+        or limit is None
+        or limit.lower is None
+        or limit.upper is None
+        or limit.lower >= limit.upper
+    ):
         return -np.inf, np.inf
     return float(limit.lower), float(limit.upper)
 
 
-def load_description(text: str, source: str, mesh_dirs: tuple[str, ...], radius: float) -> Description:
+def load_description(
+    text: str, source: str, mesh_dirs: tuple[str, ...], radius: float
+) -> Description:
     """Parse URDF text. Links whose meshes are missing get capsules from joint to joint of the given radius, m."""
     import yourdfpy
 
     try:
-        robot = yourdfpy.URDF.load(io.BytesIO(text.encode()), build_scene_graph=False, load_meshes=False)
+        robot = yourdfpy.URDF.load(
+            io.BytesIO(text.encode()), build_scene_graph=False, load_meshes=False
+        )
     except Exception as error:
-        raise UsageError(f"the robot description is not a URDF ({describe(error)})", Place(source)) from error
+        raise UsageError(
+            f"the robot description is not a URDF ({describe(error)})", Place(source)
+        ) from error
     joints: dict[str, Joint] = {}
     notes: list[str] = []
     for joint in robot.robot.joints:
@@ -119,7 +131,10 @@ def load_description(text: str, source: str, mesh_dirs: tuple[str, ...], radius:
             *_limits(joint),
         )
         if not (np.isfinite(joints[joint.child].origin).all() and np.isfinite(axis).all()):
-            raise UsageError(f"joint {joint.name} of the robot description has numbers that are none", Place(source))
+            raise UsageError(
+                f"joint {joint.name} of the robot description has numbers that are none",
+                Place(source),
+            )
     shapes = {}
     made_up = []
     for link in robot.robot.links:
@@ -128,10 +143,15 @@ def load_description(text: str, source: str, mesh_dirs: tuple[str, ...], radius:
             found = _capsules(link.name, joints, radius)
             made_up.append(link.name)
         if not all(np.isfinite(s.T_link_shape).all() and np.isfinite(s.bound) for s in found):
-            raise UsageError(f"link {link.name} of the robot description has numbers that are none", Place(source))
+            raise UsageError(
+                f"link {link.name} of the robot description has numbers that are none",
+                Place(source),
+            )
         shapes[link.name] = found
     if made_up:
-        notes.append(f"meshes not found, capsules from joint origins stand in: {', '.join(sorted(made_up))}")
+        notes.append(
+            f"meshes not found, capsules from joint origins stand in: {', '.join(sorted(made_up))}"
+        )
     return Description(joints, shapes, notes)
 
 
@@ -145,7 +165,11 @@ def _shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Li
             half = tuple(float(s) / 2 for s in g.box.size)
             out.append(LinkShape(link.name, "box", T, half, bound=float(np.linalg.norm(half))))
         elif g.sphere is not None:
-            out.append(LinkShape(link.name, "sphere", T, (float(g.sphere.radius),), bound=float(g.sphere.radius)))
+            out.append(
+                LinkShape(
+                    link.name, "sphere", T, (float(g.sphere.radius),), bound=float(g.sphere.radius)
+                )
+            )
         elif g.cylinder is not None:
             r, h = float(g.cylinder.radius), float(g.cylinder.length) / 2
             out.append(LinkShape(link.name, "cylinder", T, (r, h), bound=float(np.hypot(r, h))))
@@ -170,7 +194,9 @@ def _mesh_hull(mesh: Any, mesh_dirs: tuple[str, ...]) -> tuple[Array, float] | N
             path = Path(folder).joinpath(*parts[i:]) if folder else Path(name)
             if path.is_file():
                 loaded: Any = trimesh.load(path, force="mesh")
-                vertices = np.asarray(loaded.vertices) * (np.asarray(mesh.scale) if mesh.scale is not None else 1.0)
+                vertices = np.asarray(loaded.vertices) * (
+                    np.asarray(mesh.scale) if mesh.scale is not None else 1.0
+                )
                 return ConvexHull(vertices).equations, float(np.linalg.norm(vertices, axis=1).max())
     return None
 

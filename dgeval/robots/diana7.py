@@ -49,7 +49,9 @@ def add_arm(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> mujoco.MjsBody:
             limited=True,
             armature=0.1,
         )
-        drive = spec.add_actuator(name=JOINT_NAMES[k], target=JOINT_NAMES[k], trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        drive = spec.add_actuator(
+            name=JOINT_NAMES[k], target=JOINT_NAMES[k], trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
         drive.set_to_position(kp=STIFFNESS[k], kv=DAMPING[k])
     hand = parent.add_body(name="hand_base")
     place(hand, T_flange_hand)
@@ -96,13 +98,17 @@ class ArmKinematics:
         dq[near_high] = np.minimum(dq[near_high], 0.0)
         return np.asarray(dq)
 
-    def solve(self, T_base_palm: Array, q: Array, iterations: int = 200, enough: float = 1e-6) -> tuple[Array, float]:
+    def solve(
+        self, T_base_palm: Array, q: Array, iterations: int = 200, enough: float = 1e-6
+    ) -> tuple[Array, float]:
         """Joint positions (7,) near q that bring the palm to a pose, and what is left of the error (m + 0.1 m per rad)."""
         q = q.copy()
         residual = np.inf
         for _ in range(iterations):
             T = self.palm(q)
-            error = np.concatenate([T_base_palm[:3, 3] - T[:3, 3], rotation_vector(T_base_palm[:3, :3] @ T[:3, :3].T)])
+            error = np.concatenate(
+                [T_base_palm[:3, 3] - T[:3, 3], rotation_vector(T_base_palm[:3, :3] @ T[:3, :3].T)]
+            )
             residual = float(np.linalg.norm(error[:3]) + 0.1 * np.linalg.norm(error[3:]))
             if residual < enough:
                 break

@@ -15,7 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
 
-FINGERS = ("thumb", "index", "middle", "ring", "little")  # the order of the 15 joint values, three for each finger
+FINGERS = (
+    "thumb",
+    "index",
+    "middle",
+    "ring",
+    "little",
+)  # the order of the 15 joint values, three for each finger
 # where each finger's abduction joint sits in hand_base: xyz m, rpy rad (fixed axes)
 FINGER_MOUNTS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "thumb": ((0.062176, 0.044373, 0.078735), (0.225810, -1.083656, 0.411355)),
@@ -37,7 +43,9 @@ class FingerJoint:
     lower: float
     upper: float
     effort: float
-    tip: tuple[float, float, float]  # end of the link's capsule in the joint's frame; zero for the cover link
+    tip: tuple[
+        float, float, float
+    ]  # end of the link's capsule in the joint's frame; zero for the cover link
     mass: float
 
 
@@ -54,13 +62,20 @@ PALM_BOXES = (  # half sizes, centres: fitted to slices of the palm
     ((0.022, 0.05, 0.014), (-0.009, -0.003, 0.114), 0.1),
     ((0.024, 0.02, 0.038), (0.055, 0.04, 0.047), 0.15),
 )
-JOINT_NAMES = tuple(f"{finger}_{k}" for finger in FINGERS for k in range(4))  # 20, the last of each coupled
+JOINT_NAMES = tuple(
+    f"{finger}_{k}" for finger in FINGERS for k in range(4)
+)  # 20, the last of each coupled
 ACTUATED = tuple(f"{finger}_{k}" for finger in FINGERS for k in range(3))  # 15
 MAX_SPEED = 3.14  # rad/s
-CLOSED = np.tile([0.0, 1.25, 1.0], 5)  # where the fingers are sent to; the limited forces stop them on the object
+CLOSED = np.tile(
+    [0.0, 1.25, 1.0], 5
+)  # where the fingers are sent to; the limited forces stop them on the object
 CLOSE_S = 0.4  # s, closing ramp
 GRASP_CENTRE = np.array([0.05, 0.012, 0.165])  # in hand_base
-STIFFNESS, FORCE = (3.0, 3.0, 1.8), (2.0, 1.15, 0.95)  # Nm/rad and Nm of the three drives of a finger
+STIFFNESS, FORCE = (
+    (3.0, 3.0, 1.8),
+    (2.0, 1.15, 0.95),
+)  # Nm/rad and Nm of the three drives of a finger
 
 
 def pose(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Array:
@@ -105,7 +120,11 @@ def add_hand(spec: mujoco.MjSpec, hand_base: mujoco.MjsBody) -> None:
     """
     hand_base.gravcomp = 1
     for k, (half, centre, mass) in enumerate(PALM_BOXES):
-        _solid(hand_base.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=centre, mass=mass, name=f"palm_{k}"))
+        _solid(
+            hand_base.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=centre, mass=mass, name=f"palm_{k}"
+            )
+        )
     place(hand_base.add_site(name="palm_link", size=[0.002] * 3, group=4), T_hand_palm)
     for finger in FINGERS:
         parent, T = hand_base, pose(*FINGER_MOUNTS[finger])
@@ -137,14 +156,20 @@ def add_hand(spec: mujoco.MjSpec, hand_base: mujoco.MjsBody) -> None:
         )  # fmt: skip
         couple.data = [0, 1, *[0] * (len(couple.data) - 2)]
         for k in range(3):
-            drive = spec.add_actuator(name=f"{finger}_{k}", target=f"{finger}_{k}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            drive = spec.add_actuator(
+                name=f"{finger}_{k}", target=f"{finger}_{k}", trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
             drive.set_to_position(kp=STIFFNESS[k], kv=0.05 * STIFFNESS[k])
             drive.forcelimited, drive.forcerange = True, [-FORCE[k], FORCE[k]]
 
 
 def _solid(geom: mujoco.MjsGeom) -> None:
     geom.contype, geom.conaffinity, geom.condim, geom.priority = 2, 1, 4, 1
-    geom.friction, geom.solref, geom.solimp = [0.9, 0.005, 0.0001], [0.006, 1], [0.9, 0.97, 0.001, 0.5, 2]
+    geom.friction, geom.solref, geom.solimp = (
+        [0.9, 0.005, 0.0001],
+        [0.006, 1],
+        [0.9, 0.97, 0.001, 0.5, 2],
+    )
     geom.rgba = [0.34, 0.35, 0.38, 1]
 
 

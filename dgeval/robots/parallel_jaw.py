@@ -43,7 +43,9 @@ def add_gripper(spec: mujoco.MjSpec, hand_base: mujoco.MjsBody) -> None:
     """
     hand_base.gravcomp = 1
     offset = T_hand_grasp[:3, 3]
-    palm = hand_base.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=PALM[0], pos=offset + PALM[1], mass=0.7, name="palm")
+    palm = hand_base.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, size=PALM[0], pos=offset + PALM[1], mass=0.7, name="palm"
+    )
     _solid(palm, (0.34, 0.35, 0.38, 1))
     place(hand_base.add_site(name="grasp_link", size=[0.002] * 3, group=4), T_hand_grasp)
     for name, side in zip(JOINT_NAMES, (1.0, -1.0), strict=True):
@@ -73,7 +75,11 @@ def add_gripper(spec: mujoco.MjSpec, hand_base: mujoco.MjsBody) -> None:
 
 def _solid(geom: mujoco.MjsGeom, rgba: tuple[float, float, float, float]) -> None:
     geom.contype, geom.conaffinity, geom.condim, geom.priority = 2, 1, 4, 1
-    geom.friction, geom.solref, geom.solimp = [0.9, 0.005, 0.0001], [0.006, 1], [0.9, 0.97, 0.001, 0.5, 2]
+    geom.friction, geom.solref, geom.solimp = (
+        [0.9, 0.005, 0.0001],
+        [0.006, 1],
+        [0.9, 0.97, 0.001, 0.5, 2],
+    )
     geom.rgba = rgba
 
 
@@ -92,7 +98,9 @@ def link_points(n: int, rng: np.random.Generator) -> Array:
         for half, centre in (DISTAL, PROXIMAL)
         for side in (1.0, -1.0)
     ]
-    areas = np.array([[h[1] * h[2], h[0] * h[2], h[0] * h[1]] for h, _ in boxes])  # of a face across each axis
+    areas = np.array(
+        [[h[1] * h[2], h[0] * h[2], h[0] * h[1]] for h, _ in boxes]
+    )  # of a face across each axis
     which = rng.choice(areas.size, n, p=areas.ravel() / areas.sum())
     out = np.empty((n, 3))
     for i, cell in enumerate(which):

@@ -24,14 +24,23 @@ def robot_urdf(T_hand_camera: Array, gripper: Gripper = FIVE_FINGERS) -> str:
     parent = "base_link"
     for k, (xyz, rpy, lower, upper, speed) in enumerate(arm.JOINTS):
         limits = lower, upper, 100.0, speed
-        parts += [_link(f"link_{k + 1}"), _joint(arm.JOINT_NAMES[k], parent, f"link_{k + 1}", xyz, rpy, limits)]
+        parts += [
+            _link(f"link_{k + 1}"),
+            _joint(arm.JOINT_NAMES[k], parent, f"link_{k + 1}", xyz, rpy, limits),
+        ]
         parent = f"link_{k + 1}"
     offset = jaw.T_hand_grasp[:3, 3]
     palm: list[tuple[Numbers, Numbers]] = [(half, centre) for half, centre, _ in hand.PALM_BOXES]
     if gripper.name == "jaw":
         palm = [(jaw.PALM[0], tuple(float(v) for v in offset + jaw.PALM[1]))]
-    parts += [_link("hand_base", _boxes(palm)), _fixed("hand_mount", parent, "hand_base", arm.T_flange_hand)]
-    parts += [_link("palm_link"), _fixed("palm_mount", "hand_base", "palm_link", gripper.T_hand_palm)]
+    parts += [
+        _link("hand_base", _boxes(palm)),
+        _fixed("hand_mount", parent, "hand_base", arm.T_flange_hand),
+    ]
+    parts += [
+        _link("palm_link"),
+        _fixed("palm_mount", "hand_base", "palm_link", gripper.T_hand_palm),
+    ]
     parts += [_link(CAMERA_FRAME), _fixed("hand_eye", "hand_base", CAMERA_FRAME, T_hand_camera)]
     parts += _jaws() if gripper.name == "jaw" else _five_fingers()
     return f'<robot name="dgeval_arm_hand">{"".join(parts)}</robot>'
@@ -40,10 +49,26 @@ def robot_urdf(T_hand_camera: Array, gripper: Gripper = FIVE_FINGERS) -> str:
 def _jaws() -> list[str]:
     parts = []
     for name, side in zip(jaw.JOINT_NAMES, (1.0, -1.0), strict=True):
-        solids = [(half, (side * centre[0], *centre[1:])) for half, centre in (jaw.DISTAL, jaw.PROXIMAL)]
+        solids = [
+            (half, (side * centre[0], *centre[1:])) for half, centre in (jaw.DISTAL, jaw.PROXIMAL)
+        ]
         parts.append(_link(name, _boxes(solids)))
-        xyz, limits = tuple(float(v) for v in jaw.T_hand_grasp[:3, 3]), (0.0, jaw.TRAVEL, jaw.GRIP_FORCE, jaw.CLOSE_SPEED)
-        parts.append(_joint(name, "hand_base", name, xyz, (0, 0, 0), limits, kind="prismatic", axis=f"{side} 0 0"))
+        xyz, limits = (
+            tuple(float(v) for v in jaw.T_hand_grasp[:3, 3]),
+            (0.0, jaw.TRAVEL, jaw.GRIP_FORCE, jaw.CLOSE_SPEED),
+        )
+        parts.append(
+            _joint(
+                name,
+                "hand_base",
+                name,
+                xyz,
+                (0, 0, 0),
+                limits,
+                kind="prismatic",
+                axis=f"{side} 0 0",
+            )
+        )
     return parts
 
 
@@ -65,12 +90,15 @@ def _five_fingers() -> list[str]:
 def _boxes(boxes: Sequence[tuple[Numbers, Numbers]]) -> str:
     """Solids of half sizes and centres."""
     return "".join(
-        _solid(centre, (0, 0, 0), f'<box size="{2 * half[0]} {2 * half[1]} {2 * half[2]}"/>') for half, centre in boxes
+        _solid(centre, (0, 0, 0), f'<box size="{2 * half[0]} {2 * half[1]} {2 * half[2]}"/>')
+        for half, centre in boxes
     )
 
 
 def _origin(T: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    with warnings.catch_warnings():  # a finger that points straight up is at the pole of these angles
+    with (
+        warnings.catch_warnings()
+    ):  # a finger that points straight up is at the pole of these angles
         warnings.simplefilter("ignore", UserWarning)
         rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
     return tuple(float(v) for v in T[:3, 3]), tuple(float(v) for v in rpy)  # type: ignore[return-value]

@@ -12,7 +12,11 @@ from typing import Any
 from dgeval.determinism import generator
 from dgeval.simulation.scenario import Plan
 
-RERUNS, RESTORED, BASE_AT_MOST = 5, 4, 1  # of 5 re-runs: with the fault removed at least 4 succeed, with it at most 1
+RERUNS, RESTORED, BASE_AT_MOST = (
+    5,
+    4,
+    1,
+)  # of 5 re-runs: with the fault removed at least 4 succeed, with it at most 1
 JITTER_M, JITTER_SPEED, JITTER_S = 0.001, 0.003, 0.010
 
 
@@ -21,7 +25,13 @@ def jittered(plan: Plan, k: int) -> Plan:
     rng = generator(plan.seed, f"jitter/{plan.index}", k)
     dx, dy, dv, dt = rng.uniform(-1, 1, 4)
     speed = plan.speed + JITTER_SPEED * dv if plan.speed else 0.0
-    return replace(plan, x=plan.x + JITTER_M * dx, y=plan.y + JITTER_M * dy, speed=speed, close_jitter=JITTER_S * dt)
+    return replace(
+        plan,
+        x=plan.x + JITTER_M * dx,
+        y=plan.y + JITTER_M * dy,
+        speed=speed,
+        close_jitter=JITTER_S * dt,
+    )
 
 
 def blame(plan: Plan, succeeds: Callable[[Plan], bool]) -> dict[str, Any]:
@@ -40,4 +50,8 @@ def blame(plan: Plan, succeeds: Callable[[Plan], bool]) -> dict[str, Any]:
             without[name] = sum(succeeds(jittered(removed, k)) for k in range(RERUNS))
     restored = [name for name, n in without.items() if n >= RESTORED]
     # several that each restore it: the failure needs all of them together
-    return {"fault": restored[0] if len(restored) == 1 else "combined", "base": base, "without": without}
+    return {
+        "fault": restored[0] if len(restored) == 1 else "combined",
+        "base": base,
+        "without": without,
+    }

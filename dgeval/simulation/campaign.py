@@ -65,7 +65,9 @@ class Campaign:
         if self.meshes is None:
             return None
         files = sorted(p for p in self.meshes.iterdir() if p.is_file())
-        return hashlib.sha256(b"".join(p.name.encode() + sha256_of(p).encode() for p in files)).hexdigest()
+        return hashlib.sha256(
+            b"".join(p.name.encode() + sha256_of(p).encode() for p in files)
+        ).hexdigest()
 
     @property
     def records_all(self) -> bool:
@@ -75,7 +77,9 @@ class Campaign:
 
     def key(self) -> str:
         """What a trial's result depends on; how many are wanted is not part of it."""
-        scenario = self.scenario.model_dump(mode="json", exclude={"choose", "max_attempts", "trials"})
+        scenario = self.scenario.model_dump(
+            mode="json", exclude={"choose", "max_attempts", "trials"}
+        )
         about = [__version__, scenario, self.seed, self.blame, self._meshes_sha256(), fingerprint()]
         if self.format != "mcap":
             about.append(self.format)
@@ -114,7 +118,9 @@ def grasps_of(campaign: Campaign, plan: Plan) -> GraspSource:
     scenario = campaign.scenario
     if scenario.grasps == "analytic":
         return KnownGrasps(_known(campaign.meshes, plan.object), scenario.evaluator)
-    return FFHNetGrasps(networks_of(scenario.pipeline.grasps), scenario.pipeline.grasps, plan.seed, plan.index)
+    return FFHNetGrasps(
+        networks_of(scenario.pipeline.grasps), scenario.pipeline.grasps, plan.seed, plan.index
+    )
 
 
 def simulate(campaign: Campaign, plan: Plan) -> tuple[Run, World]:
@@ -128,7 +134,9 @@ def simulate(campaign: Campaign, plan: Plan) -> tuple[Run, World]:
 
 
 @contextmanager
-def with_images(campaign: Campaign, plan: Plan) -> Iterator[tuple[Run, World, Eyes, dict[int, Images]]]:
+def with_images(
+    campaign: Campaign, plan: Plan
+) -> Iterator[tuple[Run, World, Eyes, dict[int, Images]]]:
     """One trial in closed loop in a world with cameras; the images kept are those that perception drew in the loop."""
     scenario = campaign.scenario
     cameras = true_cameras(scenario, plan)
@@ -138,7 +146,9 @@ def with_images(campaign: Campaign, plan: Plan) -> Iterator[tuple[Run, World, Ey
             run, kept = run_vfas(plan, scenario, world, eyes)
             yield run, world, eyes, kept
             return
-        perceiver: ModelledPerception | RenderedPerception = ModelledPerception(scenario, plan, world)
+        perceiver: ModelledPerception | RenderedPerception = ModelledPerception(
+            scenario, plan, world
+        )
         kept = {}
         if scenario.perception == "rendered":
             perceiver = RenderedPerception(scenario, plan, eyes)
@@ -169,7 +179,9 @@ def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
     return out
 
 
-def _prove(campaign: Campaign, plan: Plan, run: Run, world: World, physics: float) -> dict[str, Any]:
+def _prove(
+    campaign: Campaign, plan: Plan, run: Run, world: World, physics: float
+) -> dict[str, Any]:
     seconds = {"physics": physics}
     start = time.perf_counter()
     truth = prove(run, world)
@@ -218,7 +230,13 @@ def _recorded(campaign: Campaign, plan: Plan) -> dict[str, Any] | None:
 
 
 def _record(
-    campaign: Campaign, plan: Plan, run: Run, world: World, verdict: dict[str, Any], eyes: Eyes, kept: dict[int, Images]
+    campaign: Campaign,
+    plan: Plan,
+    run: Run,
+    world: World,
+    verdict: dict[str, Any],
+    eyes: Eyes,
+    kept: dict[int, Images],
 ) -> dict[str, Any]:
     start = time.perf_counter()
     seconds = len(run.ticks) * CONTROL_S + AFTER_CLOSE_S
@@ -238,7 +256,9 @@ def _record(
         "index": plan.index,
         "recording": file.name,
         "sha256": sha256_of(file),
-        "bytes": sum(p.stat().st_size for p in file.rglob("*")) if file.is_dir() else file.stat().st_size,
+        "bytes": sum(p.stat().st_size for p in file.rglob("*"))
+        if file.is_dir()
+        else file.stat().st_size,
         "frames": recorded.frames,
         "bbox": recorded.bbox,
         "seconds": time.perf_counter() - start,
@@ -279,7 +299,9 @@ def run_campaign(
                 break
         recorded: list[dict[str, Any] | None] = [None] * len(chosen)
         if campaign.images:
-            for k, result in enumerate(over(record_trial, campaign, tuple(c["index"] for c in chosen))):
+            for k, result in enumerate(
+                over(record_trial, campaign, tuple(c["index"] for c in chosen))
+            ):
                 recorded[k] = result
                 progress("record", k + 1, len(chosen), result)
     shutil.rmtree(campaign.out / "part", ignore_errors=True)
@@ -300,9 +322,13 @@ class _pool:
         if self._jobs == 1:
             return lambda function, campaign, indices: (function(campaign, i) for i in indices)
         set_thread_variables()
-        self._pool = ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"))
+        self._pool = ProcessPoolExecutor(
+            self._jobs, mp_context=multiprocessing.get_context("spawn")
+        )
         pool = self._pool
-        return lambda function, campaign, indices: pool.map(function, [campaign] * len(indices), indices)
+        return lambda function, campaign, indices: pool.map(
+            function, [campaign] * len(indices), indices
+        )
 
     def __exit__(self, *error: object) -> None:
         if self._pool is not None:
@@ -337,14 +363,24 @@ def platform_name() -> str:
     return hashlib.sha256(json.dumps(fingerprint(), sort_keys=True).encode()).hexdigest()[:12]
 
 
-def write_manifest(campaign: Campaign, pairs: list[tuple[dict[str, Any], dict[str, Any] | None]]) -> None:
+def write_manifest(
+    campaign: Campaign, pairs: list[tuple[dict[str, Any], dict[str, Any] | None]]
+) -> None:
     """OUT/<scenario>.toml: the trials, what they were made from, and the hashes of those recorded."""
-    lines = [f'name = "{campaign.scenario.name}"', "", "[simulate] # what it was made from: `dgeval simulate` makes it again"]
+    lines = [
+        f'name = "{campaign.scenario.name}"',
+        "",
+        "[simulate] # what it was made from: `dgeval simulate` makes it again",
+    ]
     lines += [f'scenario = "{campaign.scenario.name}"', f"seed = {campaign.seed}"]
     lines += [f"indices = {[t['index'] for t, _ in pairs]}", f'platform = "{platform_name()}"', ""]
     for truth, recording in pairs:
         verdict = truth["verdict"]
-        lines += ["[[trial]]", f'id = "{truth["id"]}"', f'recording = "{recording_name(campaign, truth["id"])}"']
+        lines += [
+            "[[trial]]",
+            f'id = "{truth["id"]}"',
+            f'recording = "{recording_name(campaign, truth["id"])}"',
+        ]
         if recording is not None:
             lines.append(f'sha256 = "{recording["sha256"]}"')
             if recording["bbox"] is not None:

@@ -13,7 +13,9 @@ NOISE = 0.08 / (385.0 * 0.050)  # 1/m: sigma_z = NOISE z^2, a D435 (see `sensors
 FLYING = 0.01  # share of points that lie up to 2 cm behind the surface
 
 
-def seen_from(surface: Array, T_camera_object: Array, rng: np.random.Generator) -> tuple[NDArray[np.intp], Array]:
+def seen_from(
+    surface: Array, T_camera_object: Array, rng: np.random.Generator
+) -> tuple[NDArray[np.intp], Array]:
     """Which points (n, 3) of a surface, object frame, a camera sees: their rows (m,), and where it measures them (m, 3).
 
     The measured points are in the camera frame, with noise along the ray.

@@ -38,7 +38,9 @@ def measure(
                     measured = far[y, x] + mix * step[y, x]
             measured += sigma * noise[y, x] * (one + slope_gain * slope)
             measured = np.rint(measured / quantum) * quantum
-            z = fB / max(measured, np.float32(1e-6))  # no disparity is far beyond the greatest range
+            z = fB / max(
+                measured, np.float32(1e-6)
+            )  # no disparity is far beyond the greatest range
             # the draws are below 1, so nothing is left at or below the minimum range
             lost = one - (z - min_range) / ramp
             if incidence < grazing:
@@ -75,7 +77,11 @@ def shadow(d):
     height, width = d.shape
     hidden = np.zeros((height, width), np.bool_)
     column = np.empty(width, np.intp)
-    seen, wide, closed = np.empty(width + 1, np.float32), np.empty(width + 1, np.float32), np.empty(width + 1, np.float32)
+    seen, wide, closed = (
+        np.empty(width + 1, np.float32),
+        np.empty(width + 1, np.float32),
+        np.empty(width + 1, np.float32),
+    )
     for y in range(height):
         seen[:] = 0
         for x in range(width):
@@ -103,13 +109,17 @@ def draw_rectangles(out, depth, x, y, half, to, T, unit):
             if depth[row, column] == 0:
                 continue
             z = np.float32(depth[row, column]) * unit
-            counts = np.rint(((T[2, 0] * x[column] + T[2, 1] * y[row] + T[2, 2]) * z + T[2, 3]) / unit)
+            counts = np.rint(
+                ((T[2, 0] * x[column] + T[2, 1] * y[row] + T[2, 2]) * z + T[2, 3]) / unit
+            )
             if counts < 1 or counts >= 65535:
                 continue
             for k in range(2):
                 a = x[column] + (half[0] if k else -half[0])
                 b = y[row] + (half[1] if k else -half[1])
-                scale = np.float32(1) / max((T[2, 0] * a + T[2, 1] * b + T[2, 2]) * z + T[2, 3], least)
+                scale = np.float32(1) / max(
+                    (T[2, 0] * a + T[2, 1] * b + T[2, 2]) * z + T[2, 3], least
+                )
                 for axis in range(2):
                     along = (T[axis, 0] * a + T[axis, 1] * b + T[axis, 2]) * z + T[axis, 3]
                     corner[k, axis] = along * scale * to[axis] + to[2 + axis]

@@ -53,7 +53,9 @@ def draw(rng: np.random.Generator, name: str, size: tuple[float, ...]) -> Six | 
     if name in ("hand_eye", "registration_bias", "grasp_offset"):
         axis = rng.normal(size=3)
         axis /= np.linalg.norm(axis)
-        values = np.concatenate([direction * strength * size[0], axis * strength * np.radians(size[1])])
+        values = np.concatenate(
+            [direction * strength * size[0], axis * strength * np.radians(size[1])]
+        )
         return tuple(float(v) for v in values)  # type: ignore[return-value]
     if name in ("velocity_bias", "tracker_drift"):
         direction[2] *= 0.3  # belts don't rise; errors in height are smaller

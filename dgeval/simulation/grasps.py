@@ -16,7 +16,14 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, matrix_from_pose
-from dgeval.robots.dlr_hit_hand import ACTUATED, CLOSE_S, RADIUS, T_hand_palm, finger_targets, quat_wxyz
+from dgeval.robots.dlr_hit_hand import (
+    ACTUATED,
+    CLOSE_S,
+    RADIUS,
+    T_hand_palm,
+    finger_targets,
+    quat_wxyz,
+)
 from dgeval.worlds.closing import LIFT_HEIGHT, LIFT_S, SETTLE_S, swing
 from dgeval.worlds.objects import ObjectModel, at
 from dgeval.worlds.scene import TIMESTEP, build
@@ -36,11 +43,15 @@ class KnownGrasp:
 
 def known_grasps(thing: ObjectModel) -> list[KnownGrasp]:
     """Shipped grasps of one of the ten objects; for any other, a search (some seconds to a minute), the same each time."""
-    shipped = json.loads((resources.files("dgeval.simulation") / "known_grasps.json").read_text(encoding="utf-8"))
+    shipped = json.loads(
+        (resources.files("dgeval.simulation") / "known_grasps.json").read_text(encoding="utf-8")
+    )
     if thing.name not in shipped:
         return search(thing, 8, 11, 20_000)
     return [
-        KnownGrasp(matrix_from_pose(np.array(g["T_object_palm"])), np.array(g["preshape"]), g["quality"])
+        KnownGrasp(
+            matrix_from_pose(np.array(g["T_object_palm"])), np.array(g["preshape"]), g["quality"]
+        )
         for g in shipped[thing.name]
     ]
 
@@ -56,12 +67,27 @@ class FlyingHand:
         self._hand = self.model.joint("hand").qposadr[0]
         joints = [self.model.joint(name) for name in ACTUATED]
         self._fingers = np.array([j.qposadr[0] for j in joints])
-        self._coupled = np.array([self.model.joint(f"{name[:-1]}3").qposadr[0] for name in ACTUATED if name.endswith("2")])
+        self._coupled = np.array(
+            [
+                self.model.joint(f"{name[:-1]}3").qposadr[0]
+                for name in ACTUATED
+                if name.endswith("2")
+            ]
+        )
         self._drives = np.array([self.model.actuator(name).id for name in ACTUATED])
-        kinds = [(self.model.geom(i).contype[0], self.model.geom(i).type[0]) for i in range(self.model.ngeom)]
-        self._capsules = np.array([i for i, (c, t) in enumerate(kinds) if c == 2 and t == mujoco.mjtGeom.mjGEOM_CAPSULE])
-        self._of_hand = np.array([self.model.geom(i).contype[0] == 2 for i in range(self.model.ngeom)])
-        self._of_object = np.array([self.model.geom(i).name.startswith("object_") for i in range(self.model.ngeom)])
+        kinds = [
+            (self.model.geom(i).contype[0], self.model.geom(i).type[0])
+            for i in range(self.model.ngeom)
+        ]
+        self._capsules = np.array(
+            [i for i, (c, t) in enumerate(kinds) if c == 2 and t == mujoco.mjtGeom.mjGEOM_CAPSULE]
+        )
+        self._of_hand = np.array(
+            [self.model.geom(i).contype[0] == 2 for i in range(self.model.ngeom)]
+        )
+        self._of_object = np.array(
+            [self.model.geom(i).name.startswith("object_") for i in range(self.model.ngeom)]
+        )
 
     def put(self, T_base_hand: Array, preshape: Array) -> None:
         """The hand at a pose with its fingers preshaped, the object at rest at x 0.5, y 0."""
@@ -89,7 +115,10 @@ class FlyingHand:
 
     def lowest(self) -> float:
         """Height of the hand's lowest finger point over the belt, m."""
-        ends = self.data.geom_xpos[self._capsules], self.data.geom_xmat[self._capsules].reshape(-1, 3, 3)[:, :, 2]
+        ends = (
+            self.data.geom_xpos[self._capsules],
+            self.data.geom_xmat[self._capsules].reshape(-1, 3, 3)[:, :, 2],
+        )
         z = ends[0][:, 2] - np.abs(ends[1][:, 2]) * self.model.geom_size[self._capsules, 1] - RADIUS
         return float(z.min())
 
@@ -123,13 +152,25 @@ class FlyingHand:
 def candidate(rng: np.random.Generator, thing: ObjectModel) -> tuple[Array, Array]:
     """A random T_base_hand over the object at rest at (0.5, 0), and a preshape (15,)."""
     extent = thing.extent()
-    tilt, heading, roll = np.radians(40) * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+    tilt, heading, roll = (
+        np.radians(40) * np.sqrt(rng.random()),
+        rng.uniform(0, 2 * np.pi),
+        rng.uniform(0, 2 * np.pi),
+    )
     down = np.diag([1.0, -1.0, -1.0])
-    R = Rotation.from_rotvec(tilt * np.array([np.cos(heading), np.sin(heading), 0])).as_matrix() @ down
+    R = (
+        Rotation.from_rotvec(tilt * np.array([np.cos(heading), np.sin(heading), 0])).as_matrix()
+        @ down
+    )
     R = R @ Rotation.from_euler("z", roll).as_matrix()
-    inside = np.array([rng.uniform(0.025, 0.075), rng.uniform(-0.005, 0.03), rng.uniform(0.13, 0.20)])
+    inside = np.array(
+        [rng.uniform(0.025, 0.075), rng.uniform(-0.005, 0.03), rng.uniform(0.13, 0.20)]
+    )
     top = max(thing.rest_height() - 0.035, 0.0)  # tall objects are taken by their upper part
-    centre = np.array([0.5, 0, thing.rest_height() + rng.uniform(-0.5, 1.0) * top]) + rng.normal(0, 0.10, 3) * extent
+    centre = (
+        np.array([0.5, 0, thing.rest_height() + rng.uniform(-0.5, 1.0) * top])
+        + rng.normal(0, 0.10, 3) * extent
+    )
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, centre - R @ inside
     preshape = np.zeros(15)
@@ -147,7 +188,9 @@ def search(thing: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[
         rng = generator(seed, f"grasps/{thing.name}", k)
         T, preshape = candidate(rng, thing)
         world.put(T, preshape)
-        T[2, 3] += min(max(0.003 - world.lowest(), 0.0), 0.05)  # fingers that would reach into the belt
+        T[2, 3] += min(
+            max(0.003 - world.lowest(), 0.0), 0.05
+        )  # fingers that would reach into the belt
         if not _free_way(world, T, preshape):
             continue
         world.put(T, preshape)
@@ -155,11 +198,15 @@ def search(thing: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[
             continue
         lifted = 0
         for _ in range(REPETITIONS):
-            moved = T @ increment(np.concatenate([rng.normal(0, 0.004, 3), rng.normal(0, np.radians(3), 3)]))
+            moved = T @ increment(
+                np.concatenate([rng.normal(0, 0.004, 3), rng.normal(0, np.radians(3), 3)])
+            )
             world.put(moved, preshape)
             lifted += not world.touches() and world.lifts(preshape)
         if lifted / REPETITIONS >= 0.66:
-            found.append(KnownGrasp(T_object_base @ T @ T_hand_palm, preshape, lifted / REPETITIONS))
+            found.append(
+                KnownGrasp(T_object_base @ T @ T_hand_palm, preshape, lifted / REPETITIONS)
+            )
             if len(found) == n:
                 break
     return found

@@ -9,7 +9,14 @@ from scipy.spatial.transform import Rotation
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
 from dgeval.robots.dlr_hit_hand import quat_wxyz
-from dgeval.robots.parallel_jaw import CLOSE_S, JOINT_NAMES, OPEN, OPENING, T_hand_grasp, finger_targets
+from dgeval.robots.parallel_jaw import (
+    CLOSE_S,
+    JOINT_NAMES,
+    OPEN,
+    OPENING,
+    T_hand_grasp,
+    finger_targets,
+)
 from dgeval.worlds.closing import swing
 from dgeval.worlds.objects import ObjectModel, at, surface_points
 from dgeval.worlds.scene import TIMESTEP, Camera, build
@@ -22,7 +29,9 @@ SHAKE_M = 0.02  # m, to and fro at 5 Hz: 1 g
 class FlyingJaw:
     """A gripper on a handle over an object at rest at (0.5, 0), a second one near it or far away."""
 
-    def __init__(self, thing: ObjectModel, other: ObjectModel, cameras: tuple[Camera, ...] = ()) -> None:
+    def __init__(
+        self, thing: ObjectModel, other: ObjectModel, cameras: tuple[Camera, ...] = ()
+    ) -> None:
         self.thing, self.other = thing, other
         self.model = build(thing, robot="hand", cameras=cameras, gripper="jaw", others=(other,))
         self.data = mujoco.MjData(self.model)
@@ -30,7 +39,10 @@ class FlyingJaw:
         geoms = [(g, m.geom(g)) for g in range(m.ngeom)]
         self.of_hand = np.array([g.contype[0] == 2 for _, g in geoms])
         self._of_table = np.array([g.name == "belt" for _, g in geoms])
-        self._at = {name: int(m.joint(name).qposadr[0]) for name in ("object", "other_0", "hand", *JOINT_NAMES)}
+        self._at = {
+            name: int(m.joint(name).qposadr[0])
+            for name in ("object", "other_0", "hand", *JOINT_NAMES)
+        }
         self._drives = [m.actuator(n).id for n in JOINT_NAMES]
         self.T_base_other = at(3.0, 0, other.rest_height())
 
@@ -41,7 +53,10 @@ class FlyingJaw:
         T = T_base_grasp @ invert(T_hand_grasp)
         hand = np.concatenate([T[:3, 3], quat_wxyz(T[:3, :3])])
         d.qpos[self._at["object"] :][:7] = [0.5, 0, self.thing.rest_height(), 1, 0, 0, 0]
-        d.qpos[self._at["other_0"] :][:7] = [*self.T_base_other[:3, 3], *quat_wxyz(self.T_base_other[:3, :3])]
+        d.qpos[self._at["other_0"] :][:7] = [
+            *self.T_base_other[:3, 3],
+            *quat_wxyz(self.T_base_other[:3, :3]),
+        ]
         d.qpos[self._at["hand"] :][:7] = hand
         d.mocap_pos[0], d.mocap_quat[0] = hand[:3], hand[3:]
         d.qpos[[self._at[n] for n in JOINT_NAMES]] = OPEN
@@ -97,7 +112,9 @@ def seed_pose(surface: Array, rng: np.random.Generator) -> Array | None:
     """A T_object_grasp about a random surface point from above or the side, across what is narrow; None: nothing fits."""
     target = surface[rng.integers(len(surface))]
     tilt, heading = np.radians(100) * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi)
-    R = Rotation.from_rotvec(tilt * np.array([np.cos(heading), np.sin(heading), 0])).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+    R = Rotation.from_rotvec(
+        tilt * np.array([np.cos(heading), np.sin(heading), 0])
+    ).as_matrix() @ np.diag([1.0, -1.0, -1.0])
     best: tuple[float, Array] | None = None
     for roll in rng.uniform(0, np.pi, int(rng.integers(1, 7))):
         T = at(target[0], target[1], target[2], R @ Rotation.from_euler("z", roll).as_matrix())
@@ -106,7 +123,12 @@ def seed_pose(surface: Array, rng: np.random.Generator) -> Array | None:
         top = inside[np.abs(inside[:, 0]) < OPENING / 2, 2].min(initial=0.0)
         T = T @ at(0, 0, max(top, -0.06) + rng.uniform(0.008, 0.035))
         slab = transform(invert(T), surface)
-        slab = slab[(np.abs(slab[:, 1]) < 0.011) & (slab[:, 2] > -0.034) & (slab[:, 2] < 0.010) & (np.abs(slab[:, 0]) < 0.07)]
+        slab = slab[
+            (np.abs(slab[:, 1]) < 0.011)
+            & (slab[:, 2] > -0.034)
+            & (slab[:, 2] < 0.010)
+            & (np.abs(slab[:, 0]) < 0.07)
+        ]
         if len(slab) < 5:
             continue
         wide = float(np.ptp(slab[:, 0]))
@@ -130,7 +152,9 @@ def search(thing: ObjectModel, n: int, seed: int, tries: int = 4000) -> list[Arr
         for repetition in range(6):
             moved = T_base_object @ T_object_grasp
             if repetition:
-                moved = moved @ increment(np.concatenate([rng.normal(0, 0.004, 3), rng.normal(0, np.radians(3), 3)]))
+                moved = moved @ increment(
+                    np.concatenate([rng.normal(0, 0.004, 3), rng.normal(0, np.radians(3), 3)])
+                )
             world.put(moved)
             lifted += not any(world.touches()) and world.lifts()
             if repetition + 1 - lifted > 1:

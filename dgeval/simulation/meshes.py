@@ -20,7 +20,11 @@ def load_meshes(folder: Path) -> dict[str, ObjectModel]:
     """Each mesh file of a folder by its stem, z up, metres; `masses.toml` may give kg by stem. UsageError names the file."""
     import trimesh
 
-    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES) if folder.is_dir() else []
+    files = (
+        sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
+        if folder.is_dir()
+        else []
+    )
     if not files:
         raise UsageError(f"no meshes ({', '.join(SUFFIXES)}) in this folder", Place(str(folder)))
     masses = read_toml(folder / "masses.toml") if (folder / "masses.toml").is_file() else {}
@@ -30,19 +34,27 @@ def load_meshes(folder: Path) -> dict[str, ObjectModel]:
             mesh = trimesh.load(path, force="mesh")
             vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
         except Exception as error:
-            raise UsageError(f"not a mesh ({type(error).__name__}: {error})", Place(str(path))) from error
+            raise UsageError(
+                f"not a mesh ({type(error).__name__}: {error})", Place(str(path))
+            ) from error
         size = np.ptp(vertices, axis=0) if len(vertices) else np.zeros(3)
         if not (np.isfinite(size).all() and MIN_SIZE < size.max() < MAX_SIZE):
             what = f"its size is {np.round(size, 4).tolist()} m; a hand needs {MIN_SIZE} to {MAX_SIZE} m"
-            raise UsageError(what, Place(str(path)), "meshes are in metres: scale those in millimetres by 0.001")
+            raise UsageError(
+                what, Place(str(path)), "meshes are in metres: scale those in millimetres by 0.001"
+            )
         vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         pieces = trimesh.decomposition.convex_decomposition(mesh, maxConvexHulls=16)
         hulls = [np.asarray(p["vertices"], dtype=np.float64) for p in pieces]
         parts = tuple(
-            Part("hull", np.eye(4), vertices=h) for h in hulls if len(h) >= 4 and np.linalg.matrix_rank(h - h[0]) == 3
+            Part("hull", np.eye(4), vertices=h)
+            for h in hulls
+            if len(h) >= 4 and np.linalg.matrix_rank(h - h[0]) == 3
         )
         mass = float(masses.get(path.stem, DENSITY * sum(p.volume() for p in parts)))
         look = Look("print", (150, 150, 150))
-        out[path.stem] = ObjectModel(path.stem, mass, parts, look, mesh=(vertices, faces.astype(np.int32)))
+        out[path.stem] = ObjectModel(
+            path.stem, mass, parts, look, mesh=(vertices, faces.astype(np.int32))
+        )
     return out

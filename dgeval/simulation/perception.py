@@ -12,7 +12,13 @@ from dgeval.geometry import Array, increment, invert, transform
 from dgeval.robots.dlr_hit_hand import T_hand_camera
 from dgeval.simulation.clouds import seen_from
 from dgeval.simulation.scenario import Plan, Scenario
-from dgeval.simulation.sensors import PROFILES, DepthProfile, colour_from_depth, colour_intrinsics, depth_intrinsics
+from dgeval.simulation.sensors import (
+    PROFILES,
+    DepthProfile,
+    colour_from_depth,
+    colour_intrinsics,
+    depth_intrinsics,
+)
 from dgeval.simulation.world import World
 from dgeval.worlds.objects import ObjectModel, surface_points
 from dgeval.worlds.scene import Camera
@@ -45,7 +51,9 @@ def depth_profile(scenario: Scenario) -> DepthProfile:
 
     name = scenario.camera.profile
     if name not in PROFILES:
-        raise UsageError(f"scenario: no camera profile {name!r}", hint=f"known: {', '.join(PROFILES)}")
+        raise UsageError(
+            f"scenario: no camera profile {name!r}", hint=f"known: {', '.join(PROFILES)}"
+        )
     profile = PROFILES[name]
     if scenario.camera.min_range is not None:
         profile = replace(profile, min_range=scenario.camera.min_range)
@@ -73,11 +81,15 @@ class ModelledPerception:
         self._noise, self._plan = scenario.noise, plan
         self._camera = true_cameras(scenario, plan)[0]
         self._min_range = depth_profile(scenario).min_range
-        self._points = surface_points(world.thing, 200, generator(0, f"points/{world.thing.name}", 0))
+        self._points = surface_points(
+            world.thing, 200, generator(0, f"points/{world.thing.name}", 0)
+        )
         self._bias = increment(np.array(plan.faults.registration_bias))
         self._model: ModelledCloud | None = None
         if scenario.grasps == "ffhnet":
-            self._model = ModelledCloud(world.thing, scenario.pipeline.fusion.max_model_points, plan)
+            self._model = ModelledCloud(
+                world.thing, scenario.pipeline.fusion.max_model_points, plan
+            )
 
     def see(self, frame: int, t_ns: int, world: World) -> Sight:  # noqa: ARG002  the protocol's
         T_base_hand = world.T_base_hand()
@@ -90,10 +102,18 @@ class ModelledPerception:
         if (inside & (seen[:, 2] > self._min_range))[near_side].mean() < MIN_SHARE:
             return Sight(None)
         rng = generator(self._plan.seed, f"perception/{self._plan.index}", frame)
-        noise = np.concatenate([rng.normal(0, self._noise.position, 3), np.radians(rng.normal(0, self._noise.angle, 3))])
+        noise = np.concatenate(
+            [
+                rng.normal(0, self._noise.position, 3),
+                np.radians(rng.normal(0, self._noise.angle, 3)),
+            ]
+        )
         T = T_base_hand @ T_hand_camera @ T_camera_object @ self._bias @ increment(noise)
         T[:3, 3] += np.array(self._plan.faults.tracker_drift) * world.t
-        return Sight(T, None if self._model is None else transform(T, self._model.step(frame, T_camera_object)))
+        return Sight(
+            T,
+            None if self._model is None else transform(T, self._model.step(frame, T_camera_object)),
+        )
 
 
 class ModelledCloud:
@@ -111,7 +131,9 @@ class ModelledCloud:
         rows, measured = seen_from(self._surface, T_camera_object, rng)
         new = ~self._known[rows]
         self._known[rows] = True
-        self._points = np.concatenate([self._points, transform(invert(T_camera_object), measured[new])])
+        self._points = np.concatenate(
+            [self._points, transform(invert(T_camera_object), measured[new])]
+        )
         if len(self._points) > self._most:
             self._points = self._points[np.sort(rng.permutation(len(self._points))[: self._most])]
         return self._points

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from dgeval.config import GraspsConfig
 from dgeval.geometry import Array, invert, rotation_angle
-from dgeval.planning.grasps import EncodedCloud, Networks, encode_cloud, evaluate, free_of, overlap_allowed, propose, way_free
+from dgeval.planning.grasps import (
+    EncodedCloud,
+    Networks,
+    encode_cloud,
+    evaluate,
+    free_of,
+    overlap_allowed,
+    propose,
+    way_free,
+)
 from dgeval.simulation.grasps import KnownGrasp
 from dgeval.simulation.perception import Sight
 from dgeval.simulation.scenario import EvaluatorConfig
@@ -60,13 +69,23 @@ class GraspSource(Protocol):
     """Gives candidates for a frame, and says how good a palm pose is (GraspEval of the paper)."""
 
     def propose(
-        self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array, kept: tuple[Array, Array] | None
+        self,
+        frame: int,
+        sight: Sight,
+        T_base_object: Array,
+        T_base_camera: Array,
+        kept: tuple[Array, Array] | None,
     ) -> Proposals | None:
         """kept: T_object_palm (4, 4) and preshape (15,) of the grasp chosen last."""
         ...
 
     def score(
-        self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array
+        self,
+        proposals: Proposals,
+        chosen: int,
+        T_base_object: Array,
+        T_base_palm: Array,
+        T_base_grasp: Array,
     ) -> float: ...
 
 
@@ -76,21 +95,36 @@ class KnownGrasps:
     def __init__(self, grasps: Sequence[KnownGrasp], config: EvaluatorConfig) -> None:
         self._config = config
         self._quality = np.array([g.quality for g in grasps])
-        poses, preshapes = np.array([g.T_object_palm for g in grasps]), np.array([g.preshape for g in grasps])
+        poses, preshapes = (
+            np.array([g.T_object_palm for g in grasps]),
+            np.array([g.preshape for g in grasps]),
+        )
         self._proposals = Proposals(poses, preshapes, 0.5 + 0.5 * self._quality) if grasps else None
 
     def propose(self, *_: object) -> Proposals | None:
         return self._proposals
 
-    def score(self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array) -> float:  # noqa: ARG002  the protocol's
+    def score(
+        self,
+        proposals: Proposals,
+        chosen: int,
+        T_base_object: Array,
+        T_base_palm: Array,
+        T_base_grasp: Array,
+    ) -> float:
         return analytic_score(T_base_palm, T_base_grasp, float(self._quality[chosen]), self._config)
 
 
-def analytic_score(T_base_palm: Array, T_base_grasp: Array, quality: float, c: EvaluatorConfig) -> float:
+def analytic_score(
+    T_base_palm: Array, T_base_grasp: Array, quality: float, c: EvaluatorConfig
+) -> float:
     """How near the palm is to a grasp that is known to hold, and how well that holds."""
     d = float(np.linalg.norm(T_base_palm[:3, 3] - T_base_grasp[:3, 3]))
     angle = rotation_angle(T_base_palm[:3, :3].T @ T_base_grasp[:3, :3])
-    return float((0.5 + 0.5 * quality) * np.exp(-0.5 * (d / c.position) ** 2 - 0.5 * (angle / np.radians(c.angle)) ** 2))
+    return float(
+        (0.5 + 0.5 * quality)
+        * np.exp(-0.5 * (d / c.position) ** 2 - 0.5 * (angle / np.radians(c.angle)) ** 2)
+    )
 
 
 class FFHNetGrasps:
@@ -101,10 +135,17 @@ class FFHNetGrasps:
         self._last: Proposals | None = None
 
     def propose(
-        self, frame: int, sight: Sight, T_base_object: Array, T_base_camera: Array, kept: tuple[Array, Array] | None
+        self,
+        frame: int,
+        sight: Sight,
+        T_base_object: Array,
+        T_base_camera: Array,
+        kept: tuple[Array, Array] | None,
     ) -> Proposals | None:
         if sight.cloud is None:
-            return self._last  # the model and its grasps as they were, moved along with the prediction
+            return (
+                self._last
+            )  # the model and its grasps as they were, moved along with the prediction
         R_cloud_base = self._networks.R_cloud_base(T_base_camera)  # its origin stays the base's
         z = self._config.support_z
         support = None if z is None else (R_cloud_base[:, 2], z)
@@ -115,11 +156,29 @@ class FFHNetGrasps:
         index = self._index * 100_000 + frame
         drawn = propose(cloud, self._networks, self._config.candidates, self._seed, index, again)
         poses = invert(T_view_object) @ drawn.T_cloud_palm
-        self._last = Proposals(poses, drawn.joints, drawn.scores, cloud, T_view_object, self._config, support, drawn.kept)
+        self._last = Proposals(
+            poses,
+            drawn.joints,
+            drawn.scores,
+            cloud,
+            T_view_object,
+            self._config,
+            support,
+            drawn.kept,
+        )
         return self._last
 
-    def score(self, proposals: Proposals, chosen: int, T_base_object: Array, T_base_palm: Array, T_base_grasp: Array) -> float:  # noqa: ARG002  the protocol's
+    def score(
+        self,
+        proposals: Proposals,
+        chosen: int,
+        T_base_object: Array,
+        T_base_palm: Array,
+        T_base_grasp: Array,
+    ) -> float:
         assert proposals.cloud is not None
         assert proposals.T_view_object is not None
         T = proposals.T_view_object @ invert(T_base_object) @ T_base_palm
-        return float(evaluate(proposals.cloud, self._networks, T[None], proposals.preshapes[chosen][None])[0])
+        return float(
+            evaluate(proposals.cloud, self._networks, T[None], proposals.preshapes[chosen][None])[0]
+        )

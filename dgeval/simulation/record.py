@@ -77,7 +77,11 @@ def write_recording(
     by_tick = {f.tick: f for f in run.frames}
     first: Array | None = None
     with open_writer(path) as writer:
-        writer.write("/robot_description", START_NS, text(robot_urdf(world.gripper.T_hand_camera, world.gripper)))
+        writer.write(
+            "/robot_description",
+            START_NS,
+            text(robot_urdf(world.gripper.T_hand_camera, world.gripper)),
+        )
         if run.T_base_seed is not None:
             writer.write(SEED_TOPIC, START_NS, pose_stamped(START_NS, BASE, run.T_base_seed))
         events = _events(run, scenario)
@@ -90,24 +94,42 @@ def write_recording(
                 continue
             if box is None and belief.index == run.frames[0].index:
                 box = eyes.box()
-            images = kept[belief.index] if belief.index in kept else _draw(eyes, belief, scenario.camera.jpeg_quality)
-            writer.write("/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera))
+            images = (
+                kept[belief.index]
+                if belief.index in kept
+                else _draw(eyes, belief, scenario.camera.jpeg_quality)
+            )
+            writer.write(
+                "/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera)
+            )
             writer.write(COLOUR_TOPIC, t_ns, jpeg_file_message(t_ns, CAMERA_FRAME, images.jpeg))
             depth = compressed_depth_message(t_ns, CAMERA_FRAME, images.depth, scenario.depth_level)
             writer.write(DEPTH_TOPIC, t_ns, depth)
             if images.mask is not None:
-                writer.write("/dgeval/belief/mask", t_ns, png_message(t_ns, CAMERA_FRAME, images.mask.astype(np.uint8) * 255))
+                writer.write(
+                    "/dgeval/belief/mask",
+                    t_ns,
+                    png_message(t_ns, CAMERA_FRAME, images.mask.astype(np.uint8) * 255),
+                )
             T_camera_model, cloud = images.T_camera_model, images.model
             if not kept and belief.T_base_object is not None:
-                T_camera_object = invert(world.T_base_hand() @ world.gripper.T_hand_camera) @ belief.T_base_object
+                T_camera_object = (
+                    invert(world.T_base_hand() @ world.gripper.T_hand_camera) @ belief.T_base_object
+                )
                 if first is None:
                     # the model frame is the camera of the first accepted frame, carried with the object
                     first = T_camera_object
-                    points = surface_points(world.thing, 500, generator(run.plan.seed, "model", run.plan.index))
+                    points = surface_points(
+                        world.thing, 500, generator(run.plan.seed, "model", run.plan.index)
+                    )
                     cloud = transform(first, points)
                 T_camera_model = T_camera_object @ invert(first)
             if T_camera_model is not None:
-                writer.write("/dgeval/belief/target_pose", t_ns, pose_stamped(t_ns, CAMERA_FRAME, T_camera_model))
+                writer.write(
+                    "/dgeval/belief/target_pose",
+                    t_ns,
+                    pose_stamped(t_ns, CAMERA_FRAME, T_camera_model),
+                )
             if cloud is not None:
                 writer.write("/dgeval/belief/model", t_ns, cloud_message(t_ns, CAMERA_FRAME, cloud))
             if belief.velocity is not None:
@@ -126,7 +148,9 @@ def _draw(eyes: Eyes, belief: FrameBelief, quality: int) -> Images:
     return Images(encode(colour, quality), depth, mask)
 
 
-def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scenario: Scenario) -> dict[str, Any]:
+def verdict_document(
+    run: Run, truth: Truth, blame: dict[str, Any] | None, scenario: Scenario
+) -> dict[str, Any]:
     """Everything that is known for certain about a trial, as one JSON object (`/truth/verdict`)."""
     plan = run.plan
     return {
@@ -135,7 +159,9 @@ def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scena
         "sub_cause": truth.sub_cause,
         "shift_s": truth.shift_s,
         "curve": truth.curve,
-        "facts": None if truth.facts is None else {k: v for k, v in asdict(truth.facts).items() if k != "curve"},
+        "facts": None
+        if truth.facts is None
+        else {k: v for k, v in asdict(truth.facts).items() if k != "curve"},
         "pose_error_m": truth.pose_error_m,
         "foreign_contact": truth.foreign_contact,
         "t_first_contact_s": truth.t_first_contact,
@@ -151,7 +177,11 @@ def verdict_document(run: Run, truth: Truth, blame: dict[str, Any] | None, scena
         "seed": plan.seed,
         "index": plan.index,
         "gains": scenario.pipeline.servo.gains,
-        **({"grasps": "vfas" if scenario.vfas else scenario.grasps} if scenario.vfas or scenario.grasps != "analytic" else {}),
+        **(
+            {"grasps": "vfas" if scenario.vfas else scenario.grasps}
+            if scenario.vfas or scenario.grasps != "analytic"
+            else {}
+        ),
     }
 
 
@@ -161,7 +191,11 @@ def _at(tick: int) -> int:
 
 def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
     perception = MODELLED if scenario.perception == "modelled" else RENDERED
-    notes = [perception, GRASPS[scenario.grasps], f"simulated: servo gains {scenario.pipeline.servo.gains}"]
+    notes = [
+        perception,
+        GRASPS[scenario.grasps],
+        f"simulated: servo gains {scenario.pipeline.servo.gains}",
+    ]
     notes += [f"simulated: {what}" for what in scenario.pipeline.beyond_the_paper()]
     start = {"event": "trial_start", "notes": VFAS if scenario.vfas else notes}
     out = {0: [("/dgeval/events", text(json.dumps(start)))]}
@@ -183,14 +217,19 @@ def _states(run: Run, twin: Array, world: World) -> Iterator[tuple[int, list[tup
         t_ns = _at(k)
         noise = generator(run.plan.seed, f"joints/{run.plan.index}", k).normal(size=(3, len(names)))
         d = world.data
-        position, velocity = d.qpos[where] + JOINT_NOISE * noise[0], d.qvel[dofs] + SPEED_NOISE * noise[1]
+        position, velocity = (
+            d.qpos[where] + JOINT_NOISE * noise[0],
+            d.qvel[dofs] + SPEED_NOISE * noise[1],
+        )
         effort = d.qfrc_actuator[dofs] + EFFORT_NOISE * noise[2]
         out = [("/joint_states", joint_state(t_ns, names, position, velocity, effort))]
         if run.close is None or k <= run.close:
             out.append(("/dgeval/belief/twist_command", twist_stamped(t_ns, BASE, tick.twist)))
         out.append(("/truth/object_pose", pose_stamped(t_ns, BASE, world.T_base_object())))
         if k % 10 == 0:
-            out.append(("/truth/undisturbed_pose", pose_stamped(t_ns, BASE, matrix_of(twin[k, :7]))))
+            out.append(
+                ("/truth/undisturbed_pose", pose_stamped(t_ns, BASE, matrix_of(twin[k, :7])))
+            )
         forces = world.finger_forces().round(3).tolist()
         now = {
             "hand_object": tick.contact,

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from dgeval.determinism import generator
 from dgeval.errors import UsageError
-from dgeval.simulation.sensors import DepthProfile, align_to_colour, colour_from_depth, measure_depth
+from dgeval.simulation.sensors import (
+    DepthProfile,
+    align_to_colour,
+    colour_from_depth,
+    measure_depth,
+)
 from dgeval.worlds.objects import OBJECT_GROUP
 from dgeval.worlds.scene import BELT_GROUP, Camera
 
@@ -31,7 +36,14 @@ class Eyes:
     32 bits: drawing the floor last, and a look-up of bytes, give the same pixels in less time.
     """
 
-    def __init__(self, world: Seen, cameras: tuple[Camera, Camera], profile: DepthProfile, seed: int, index: int) -> None:
+    def __init__(
+        self,
+        world: Seen,
+        cameras: tuple[Camera, Camera],
+        profile: DepthProfile,
+        seed: int,
+        index: int,
+    ) -> None:
         self.cameras, self.profile = cameras, profile
         self._world, self._seed, self._index = world, seed, index
         size = cameras[0].intrinsics
@@ -42,7 +54,9 @@ class Eyes:
             self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
         except Exception as error:
             what = f"images can't be drawn on this machine ({type(error).__name__}: {error})"
-            raise UsageError(what, hint="on Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri") from error
+            raise UsageError(
+                what, hint="on Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri"
+            ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self._area = mujoco.MjrRect(0, 0, size.width, size.height)
@@ -50,19 +64,33 @@ class Eyes:
         self._seen, self._belt, self._floor, self._object = (mujoco.MjvOption() for _ in range(4))
         for option in (self._seen, self._belt, self._floor, self._object):
             option.geomgroup[:] = 0
-        self._seen.geomgroup[:3], self._belt.geomgroup[BELT_GROUP], self._floor.geomgroup[0] = 1, 1, 1
+        self._seen.geomgroup[:3], self._belt.geomgroup[BELT_GROUP], self._floor.geomgroup[0] = (
+            1,
+            1,
+            1,
+        )
         self._object.geomgroup[OBJECT_GROUP] = 1
 
     def __enter__(self) -> Eyes:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._context.free()
         self._gl.free()
 
     def _draw(self, camera: str, segments: bool) -> None:
         """The scene as it stands into the offscreen buffer; `segments`: flat, numbered surfaces."""
-        model, data, scene, view = self._world.model, self._world.data, self._scene, self._from(camera)
+        model, data, scene, view = (
+            self._world.model,
+            self._world.data,
+            self._scene,
+            self._from(camera),
+        )
         still, moving = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
         # what stands on the belt touches it: at equal depth the order decides, so only the floor far below is drawn last
         mujoco.mjv_updateScene(model, data, self._belt, mujoco.MjvPerturb(), view, still, scene)
@@ -72,12 +100,17 @@ class Eyes:
 
     def _from(self, camera: str) -> mujoco.MjvCamera:
         view = mujoco.MjvCamera()
-        view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._world.model.camera(camera).id
+        view.type, view.fixedcamid = (
+            mujoco.mjtCamera.mjCAMERA_FIXED,
+            self._world.model.camera(camera).id,
+        )
         return view
 
     def _render(self, segments: bool) -> None:
         scene = self._scene
-        scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = segments
+        scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = scene.flags[
+            mujoco.mjtRndFlag.mjRND_IDCOLOR
+        ] = segments
         self._gl.make_current()
         mujoco.mjr_render(self._area, scene, self._context)
 
@@ -92,25 +125,40 @@ class Eyes:
         mujoco.mjr_readPixels(None, out, self._area, self._context)
         return out
 
-    def look(self, frame: int, mask: bool = False) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_] | None]:
+    def look(
+        self, frame: int, mask: bool = False
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_] | None]:
         """Colour (H, W, 3) RGB, aligned depth (H, W) in the profile's units, wanted or not `mask()`, of the world."""
         self._draw("colour", False)
         colour = np.ascontiguousarray(self._pixels())
         shown = self._mask_in(self._nearness()) if mask else None
         exact = self.exact_depth("depth")
         measured = measure_depth(
-            exact, self.cameras[1].intrinsics, self.profile, generator(self._seed, f"depth/{self._index}", frame)
+            exact,
+            self.cameras[1].intrinsics,
+            self.profile,
+            generator(self._seed, f"depth/{self._index}", frame),
         )
         camera, depth_camera = self.cameras[0].intrinsics, self.cameras[1].intrinsics
-        aligned = align_to_colour(measured, depth_camera, camera, colour_from_depth(self.profile), self.profile.depth_unit)
-        noise = generator(self._seed, f"colour/{self._index}", frame).integers(-3, 4, colour.shape, dtype=np.int8)
+        aligned = align_to_colour(
+            measured, depth_camera, camera, colour_from_depth(self.profile), self.profile.depth_unit
+        )
+        noise = generator(self._seed, f"colour/{self._index}", frame).integers(
+            -3, 4, colour.shape, dtype=np.int8
+        )
         return np.asarray(cv2.add(colour, noise, dtype=cv2.CV_8U), dtype=np.uint8), aligned, shown
 
     def _mask_in(self, nearness: NDArray[np.float32]) -> NDArray[np.bool_]:
         """`mask()` from the depth buffer of the whole scene: where the object alone, drawn without the rest, is as near."""
         dynamic = mujoco.mjtCatBit.mjCAT_DYNAMIC.value
         mujoco.mjv_updateScene(
-            self._world.model, self._world.data, self._object, mujoco.MjvPerturb(), self._from("colour"), dynamic, self._scene
+            self._world.model,
+            self._world.data,
+            self._object,
+            mujoco.MjvPerturb(),
+            self._from("colour"),
+            dynamic,
+            self._scene,
         )
         self._render(True)
         alone = self._nearness()
@@ -122,7 +170,10 @@ class Eyes:
         self._draw(camera, True)
         depth = self._nearness()
         model = self._world.model
-        near, far = (np.float32(edge * model.stat.extent) for edge in (model.vis.map.znear, model.vis.map.zfar))
+        near, far = (
+            np.float32(edge * model.stat.extent)
+            for edge in (model.vis.map.znear, model.vis.map.zfar)
+        )
         # the buffer holds OpenGL's reversed depth, whose matrix has these two coefficients
         c = np.float32(0.5) * ((far + near) / (far - near)) - np.float32(0.5)
         d = np.float32(0.5) * (np.float32(2) * far * near / (far - near))
@@ -135,7 +186,11 @@ class Eyes:
     def box(self) -> tuple[float, float, float, float] | None:
         """x0 y0 x1 y1 px around what is seen of the object, None where nothing is."""
         v, u = np.nonzero(self.mask())
-        return (float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)) if len(v) else None
+        return (
+            (float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1))
+            if len(v)
+            else None
+        )
 
     def mask(self) -> NDArray[np.bool_]:
         """Pixels (H, W) of the colour image that show the object."""

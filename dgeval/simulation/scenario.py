@@ -75,7 +75,9 @@ class TableConfig(_Section):
 class TurntableConfig(_Section):
     """The object stands on a disc that turns (VFAS-Grasp, section IV-B); each radius is one nominal speed."""
 
-    radii: tuple[float, ...] = Field((0.06, 0.10, 0.14), description="m of the object from the axis")
+    radii: tuple[float, ...] = Field(
+        (0.06, 0.10, 0.14), description="m of the object from the axis"
+    )
     rate: float = Field(2 * np.pi / 10, gt=0, description="rad/s")
     angle: tuple[float, float] = Field((60.0, 120.0), description="degrees, least and most")
     start: float = Field(0.5, ge=0, description="s")
@@ -84,7 +86,11 @@ class TurntableConfig(_Section):
 class SeedConfig(_Section):
     """The seed grasp: one that is known to hold, as another planner would have found it: with an error."""
 
-    position: float = Field(0.015, ge=0, description="m, each axis, 1 sigma; seeds alone then hold as often as the paper's")
+    position: float = Field(
+        0.015,
+        ge=0,
+        description="m, each axis, 1 sigma; seeds alone then hold as often as the paper's",
+    )
     angle: float = Field(6.0, ge=0, description="degrees, each axis, 1 sigma")
 
 
@@ -93,29 +99,41 @@ class Scenario(_Section):
     table: TableConfig | None = None
     turntable: TurntableConfig | None = None
     seed_error: SeedConfig = SeedConfig()
-    presenter: PresenterConfig | None = Field(None, description="the object is handed over; default: a belt")
-    objects: tuple[str, ...] | None = Field(None, description="default: all ten, or those of --meshes")
+    presenter: PresenterConfig | None = Field(
+        None, description="the object is handed over; default: a belt"
+    )
+    objects: tuple[str, ...] | None = Field(
+        None, description="default: all ten, or those of --meshes"
+    )
     speeds: tuple[float, ...] = (0.0,)
     trials: int = Field(10, ge=1)
     choose: dict[Literal["success", "imprecise_pose", "collision", "timing"], int] | None = Field(
         None, description="how many of each kind to record, the first in order; default: all trials"
     )
-    max_attempts: int = Field(20, ge=1, description="simulate at most this many times `trials` while choosing")
+    max_attempts: int = Field(
+        20, ge=1, description="simulate at most this many times `trials` while choosing"
+    )
     depth_level: int = Field(4, ge=0, le=9, description="PNG compression of depth")
     perception: Literal["modelled", "rendered"] = Field(
-        "modelled", description="in the loop: truth with errors, or the pipeline's own stages on rendered images"
+        "modelled",
+        description="in the loop: truth with errors, or the pipeline's own stages on rendered images",
     )
     grasps: Literal["ffhnet", "analytic"] = Field(
-        "ffhnet", description="in the loop: the shipped FFHNet on the model cloud, or known grasps with an analytic score"
+        "ffhnet",
+        description="in the loop: the shipped FFHNet on the model cloud, or known grasps with an analytic score",
     )
-    plans_of: str | None = Field(None, description="draw the same trials as the scenario of that name")
+    plans_of: str | None = Field(
+        None, description="draw the same trials as the scenario of that name"
+    )
     max_seconds: float = Field(7.0, gt=1, description="without a close, the trial ends")
     camera: CameraConfig = CameraConfig()
     noise: PerceptionNoise = PerceptionNoise()
     evaluator: EvaluatorConfig = EvaluatorConfig()
     faults: dict[str, FaultConfig] = {}
     faults_at_most: int | None = Field(
-        None, ge=1, description="draw 1 to this many faults with the shares as weights; default: each by its own share"
+        None,
+        ge=1,
+        description="draw 1 to this many faults with the shares as weights; default: each by its own share",
     )
     pipeline: Config = Config()
 
@@ -162,14 +180,20 @@ class Plan:
 
 def load_scenario(name: str) -> Scenario:
     """A built-in scenario by name, or a TOML file. UsageError names the fault."""
-    built_in = sorted(p.name[:-5] for p in (PACKAGE / "scenarios").iterdir() if p.name.endswith(".toml"))
+    built_in = sorted(
+        p.name[:-5] for p in (PACKAGE / "scenarios").iterdir() if p.name.endswith(".toml")
+    )
     if name.endswith(".toml"):
         path = Path(name)
     elif name in built_in:
         path = Path(str(PACKAGE / "scenarios" / f"{name}.toml"))
     else:
         near = difflib.get_close_matches(name, built_in, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"built in: {', '.join(built_in)}; or give a FILE.toml"
+        hint = (
+            f"did you mean {near[0]}?"
+            if near
+            else f"built in: {', '.join(built_in)}; or give a FILE.toml"
+        )
         raise UsageError(f"no scenario {name!r}", hint=hint)
     values: dict[str, Any] = read_toml(path)
     scenario = validated(Scenario, values, "scenario", path)
@@ -202,7 +226,9 @@ def load_manifest(path: Path) -> MadeFrom | None:
         name, indices = str(about["scenario"]), tuple(int(i) for i in about["indices"])
         return MadeFrom(name, int(about["seed"]), indices, str(about["platform"]), hashes)
     except (KeyError, TypeError, ValueError) as error:
-        raise UsageError(f"manifest: [simulate] is not complete ({error})", Place(str(path))) from error
+        raise UsageError(
+            f"manifest: [simulate] is not complete ({error})", Place(str(path))
+        ) from error
 
 
 def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, index: int) -> Plan:
@@ -219,14 +245,23 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
     yaw = float(rng.uniform(-3.14159, 3.14159))
     x = 0.47 + float(rng.uniform(-0.06, 0.06))
     y = -direction * min(0.42, 0.05 + 1.9 * speed) + float(rng.uniform(-0.02, 0.02))
-    home_y = min(max(y + float(rng.uniform(-0.09, 0.09)), -0.45), 0.45)  # the hand doesn't start right above the object
+    home_y = min(
+        max(y + float(rng.uniform(-0.09, 0.09)), -0.45), 0.45
+    )  # the hand doesn't start right above the object
     wanted: list[str] | None = None
     if scenario.faults_at_most is not None and scenario.faults:
         weights = np.array([f.share for f in scenario.faults.values()])
         count = min(int(rng.integers(1, scenario.faults_at_most + 1)), int((weights > 0).sum()))
-        wanted = [str(n) for n in rng.choice(list(scenario.faults), count, replace=False, p=weights / weights.sum())]
+        wanted = [
+            str(n)
+            for n in rng.choice(
+                list(scenario.faults), count, replace=False, p=weights / weights.sum()
+            )
+        ]
     values: dict[str, Any] = {}
-    for fault in Faults.__dataclass_fields__:  # each from its own draws, so that adding one changes no other
+    for fault in (
+        Faults.__dataclass_fields__
+    ):  # each from its own draws, so that adding one changes no other
         own = generator(seed, f"plan/{drawn_as}/{fault}", index)
         config = scenario.faults.get(fault)
         drawn = own.random() < (config.share if config is not None else 0.0)
@@ -236,5 +271,25 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
     presenter = None
     if (config_of := scenario.presenter) is not None:
         own = generator(seed, f"plan/{drawn_as}/presenter", index)
-        presenter = drawn_presenter(own, things[name].extent(), x, y, yaw, config_of.tremor_m, np.radians(config_of.tremor_deg))
-    return Plan(trial_id, name, direction * speed, x, y, yaw, home_y, Faults(**values), seed, index, presenter=presenter)
+        presenter = drawn_presenter(
+            own,
+            things[name].extent(),
+            x,
+            y,
+            yaw,
+            config_of.tremor_m,
+            np.radians(config_of.tremor_deg),
+        )
+    return Plan(
+        trial_id,
+        name,
+        direction * speed,
+        x,
+        y,
+        yaw,
+        home_y,
+        Faults(**values),
+        seed,
+        index,
+        presenter=presenter,
+    )

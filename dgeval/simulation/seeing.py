@@ -43,7 +43,9 @@ def look(
     """A frame as replay will read it: colour through JPEG, depth in counts, the hand's solids; and the images to record."""
     colour, depth, _ = eyes.look(index)
     jpeg = encode(colour, quality)
-    decoded = np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)[:, :, ::-1]
+    decoded = np.asarray(
+        cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8
+    )[:, :, ::-1]
     metres = depth.astype(np.float32) * np.float32(eyes.profile.depth_unit)
     T_base_camera = world.T_base_hand() @ world.gripper.T_hand_camera
     frame = Frame(
@@ -64,7 +66,9 @@ class RenderedPerception:
         config = scenario.pipeline
         self._eyes, self._plan = eyes, plan
         self._perception = Perception(config.model_copy(update={"seed": plan.seed}))
-        self._hand = load_description(robot_urdf(T_hand_camera), "the simulated robot", (), config.self_filter.radius_default)
+        self._hand = load_description(
+            robot_urdf(T_hand_camera), "the simulated robot", (), config.self_filter.radius_default
+        )
         self._T_model_object: Array | None = None
         self._bias = increment(np.array(plan.faults.registration_bias))
         self._started = False
@@ -87,18 +91,33 @@ class RenderedPerception:
             mask = np.zeros(depth.shape, dtype=bool)
             mask[y0:y1, x0:x1] = seen.tracked.mask
         fresh = seen.model is not None and (not self.kept or frame % 30 == 0)
-        self.kept[frame] = Images(jpeg, depth, mask, seen.T_camera_model, seen.model.points if fresh and seen.model else None)
+        self.kept[frame] = Images(
+            jpeg,
+            depth,
+            mask,
+            seen.T_camera_model,
+            seen.model.points if fresh and seen.model else None,
+        )
         if not seen.accepted or seen.T_camera_model is None:
             return Sight(None)
         if self._T_model_object is None:
-            T_camera_object = invert(world.T_base_hand() @ camera.T_hand_camera) @ world.T_base_object()
+            T_camera_object = (
+                invert(world.T_base_hand() @ camera.T_hand_camera) @ world.T_base_object()
+            )
             self._T_model_object = invert(seen.T_camera_model) @ T_camera_object
         T = T_base_camera @ seen.T_camera_model @ self._T_model_object @ self._bias
         T[:3, 3] += np.array(self._plan.faults.tracker_drift) * world.t
-        return Sight(T, None if seen.model is None else transform(T_base_camera @ seen.T_camera_model, seen.model.points))
+        return Sight(
+            T,
+            None
+            if seen.model is None
+            else transform(T_base_camera @ seen.T_camera_model, seen.model.points),
+        )
 
 
-def hand_shapes(description: Description, world: World, T_base_camera: Array) -> list[tuple[LinkShape, Array]]:
+def hand_shapes(
+    description: Description, world: World, T_base_camera: Array
+) -> list[tuple[LinkShape, Array]]:
     """The hand's solids with T_camera_shape as the robot believes them: joints as they are, camera as calibrated."""
     T_camera_base = invert(T_base_camera)
     return [

@@ -33,10 +33,16 @@ class DepthProfile:
     min_range: float  # m, nothing is measured nearer
     max_range: float  # m
     colour_offset: float = 0.0  # m, x of the colour camera in the depth frame
-    colour_hfov: float | None = None  # deg over the full width of the colour imager; None: colour from the depth imager
+    colour_hfov: float | None = (
+        None  # deg over the full width of the colour imager; None: colour from the depth imager
+    )
     subpixel_sigma: float = 0.08  # px of disparity, 1 sigma on a fronto-parallel surface
-    correlation: float = 2.0  # px, sigma of the Gaussian kernel that makes the noise smooth over a matching window
-    slope_gain: float = 2.0  # sigma grows by this share per px of disparity change from a pixel to the next
+    correlation: float = (
+        2.0  # px, sigma of the Gaussian kernel that makes the noise smooth over a matching window
+    )
+    slope_gain: float = (
+        2.0  # sigma grows by this share per px of disparity change from a pixel to the next
+    )
     quantum: float = 1 / 32  # px of disparity, the step of the matcher's output
     depth_unit: float = 0.001  # m per count
     ramp: float = 0.1  # losses fall from all to none over this share of the minimum range beyond it
@@ -72,7 +78,12 @@ def depth_intrinsics(profile: DepthProfile, width: int, height: int) -> Intrinsi
 
     For a D435: 385 px in 640x480, 212.6 in 424x240, 641.7 in 1280x720; real ones have 383, 211.4, 638 (librealsense #3474).
     """
-    return _stream(profile.focal / max(640 / DEPTH_IMAGER[0], 480 / DEPTH_IMAGER[1]), DEPTH_IMAGER, width, height)
+    return _stream(
+        profile.focal / max(640 / DEPTH_IMAGER[0], 480 / DEPTH_IMAGER[1]),
+        DEPTH_IMAGER,
+        width,
+        height,
+    )
 
 
 def colour_intrinsics(profile: DepthProfile, width: int, height: int) -> Intrinsics:
@@ -90,15 +101,23 @@ def colour_from_depth(profile: DepthProfile) -> Array:
     return T
 
 
-def measure_depth(exact: Image32, camera: Intrinsics, profile: DepthProfile, rng: np.random.Generator) -> DepthImage:
+def measure_depth(
+    exact: Image32, camera: Intrinsics, profile: DepthProfile, rng: np.random.Generator
+) -> DepthImage:
     """Exact depth (H, W) m, 0 or not finite = nothing -> what the camera reports, counts of `depth_unit`, 0 = no measurement.
 
     Errors arise where a stereo camera makes them, in disparity d = f B / z px: sigma_z = z^2 sigma_d / (f B) (the formula
     of Intel's tuning paper; ethz-asl/rotors_simulator, D435 model). The number of draws does not depend on the image.
     """
-    noise, fate, loss = _noise(exact.shape, profile.correlation, rng), _patches(exact.shape, rng), _patches(exact.shape, rng)
+    noise, fate, loss = (
+        _noise(exact.shape, profile.correlation, rng),
+        _patches(exact.shape, rng),
+        _patches(exact.shape, rng),
+    )
     fB = np.float32(camera.fx * profile.baseline)
-    valid = (exact > 0.001) & (exact < np.inf)  # under a millimetre squares of the disparity would overflow
+    valid = (exact > 0.001) & (
+        exact < np.inf
+    )  # under a millimetre squares of the disparity would overflow
     d = np.divide(fB, np.where(valid, exact, np.inf), dtype=np.float32)
     window = np.ones((5, 5), np.uint8)
     far = cv2.erode(np.where(valid, d, np.float32(1e9)), window)
@@ -127,8 +146,13 @@ def _noise(shape: tuple[int, ...], correlation: float, rng: np.random.Generator)
     half = math.ceil(2.5 * correlation)
     kernel = np.exp(-0.5 * (np.arange(-half, half + 1) / max(correlation, 1e-6)) ** 2)
     kernel /= np.sqrt((kernel**2).sum())
-    rows, columns = shape[0] + 2 * half, shape[1] + 2 * half  # a margin, for the kernel to have the same sum at the border
-    white = np.frombuffer(rng.bytes(rows * columns), np.uint8).reshape(rows, columns).astype(np.float32)
+    rows, columns = (
+        shape[0] + 2 * half,
+        shape[1] + 2 * half,
+    )  # a margin, for the kernel to have the same sum at the border
+    white = (
+        np.frombuffer(rng.bytes(rows * columns), np.uint8).reshape(rows, columns).astype(np.float32)
+    )
     white -= np.float32(127.5)
     white *= np.float32(math.sqrt(12 / (256**2 - 1)))
     smooth: Image32 = cv2.sepFilter2D(white, cv2.CV_32F, kernel, kernel)
@@ -142,7 +166,11 @@ def _patches(shape: tuple[int, ...], rng: np.random.Generator) -> Image32:
 
 
 def align_to_colour(
-    depth: DepthImage, depth_camera: Intrinsics, colour_camera: Intrinsics, T_colour_depth: Array, unit: float
+    depth: DepthImage,
+    depth_camera: Intrinsics,
+    colour_camera: Intrinsics,
+    T_colour_depth: Array,
+    unit: float,
 ) -> DepthImage:
     """Depth image seen from the colour camera, counts of `unit` m along the colour camera's axis; the nearest wins.
 
@@ -153,8 +181,12 @@ def align_to_colour(
         return depth.copy()
     out = np.full((colour_camera.height, colour_camera.width), 65535, np.uint16)
     # the middle of each column and row of the depth image on the plane one metre away, and half a pixel of it
-    x = (np.arange(depth.shape[1], dtype=np.float32) - np.float32(depth_camera.cx)) / np.float32(depth_camera.fx)
-    y = (np.arange(depth.shape[0], dtype=np.float32) - np.float32(depth_camera.cy)) / np.float32(depth_camera.fy)
+    x = (np.arange(depth.shape[1], dtype=np.float32) - np.float32(depth_camera.cx)) / np.float32(
+        depth_camera.fx
+    )
+    y = (np.arange(depth.shape[0], dtype=np.float32) - np.float32(depth_camera.cy)) / np.float32(
+        depth_camera.fy
+    )
     half = np.array([0.5 / depth_camera.fx, 0.5 / depth_camera.fy], np.float32)
     c = colour_camera
     to = np.array([c.fx, c.fy, c.cx, c.cy], np.float32)

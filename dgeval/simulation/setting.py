@@ -39,7 +39,15 @@ class Setting:
         """The other objects to where they stand, at the start."""
         for k, (other, x, y, yaw) in enumerate(self.others):
             at = int(model.joint(f"other_{k}").qposadr[0])
-            data.qpos[at : at + 7] = [x, y, other.rest_height(), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+            data.qpos[at : at + 7] = [
+                x,
+                y,
+                other.rest_height(),
+                np.cos(yaw / 2),
+                0,
+                0,
+                np.sin(yaw / 2),
+            ]
 
     def drive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Presenter and turntable as they are at the data's time; before each step."""

@@ -95,7 +95,9 @@ def frame_ticks(rate: float, seconds: float) -> list[int]:
     return [round(k / rate / CONTROL_S) for k in range(int(seconds * rate))]
 
 
-def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource, perceiver: Perceiver) -> Run:
+def run_trial(
+    plan: Plan, scenario: Scenario, world: World, grasps: GraspSource, perceiver: Perceiver
+) -> Run:
     """Simulate one trial from start to 1.6 s after the lift, or until it gives up."""
     run = Run(plan)
     config = scenario.pipeline
@@ -122,14 +124,23 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
                 seen = perceiver.see(n_frame, t_ns, world)
                 sight = seen.T_base_object
                 estimate = velocity_filter.step(t_ns, None if sight is None else sight[:3, 3])
-                velocity = None if estimate is None else estimate.velocity + np.array(faults.velocity_bias)
+                velocity = (
+                    None if estimate is None else estimate.velocity + np.array(faults.velocity_bias)
+                )
                 T = sight
-                if T is None and run.frames and run.frames[-1].T_base_object is not None and velocity is not None:
+                if (
+                    T is None
+                    and run.frames
+                    and run.frames[-1].T_base_object is not None
+                    and velocity is not None
+                ):
                     T = run.frames[-1].T_base_object.copy()
                     T[:3, 3] += velocity * (tick - run.frames[-1].tick) * CONTROL_S
                 run.frames.append(FrameBelief(n_frame, tick, sight is not None, T, velocity))
                 if T is not None and velocity is not None:
-                    proposals = grasps.propose(n_frame, seen, T, world.T_base_hand() @ T_hand_camera, kept)
+                    proposals = grasps.propose(
+                        n_frame, seen, T, world.T_base_hand() @ T_hand_camera, kept
+                    )
                     arriving.step(t_ns, Usable(tick * CONTROL_S, T, velocity, proposals))
             n_frame += 1
         newest = arriving.at(t_ns)
@@ -137,7 +148,19 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
         snapshot = world.save()
         contact, foreign = world.touching()
         if finisher is not None:
-            tick_record = Tick(snapshot, None, None, None, finisher.velocity, np.zeros(6), None, True, contact, foreign, None)
+            tick_record = Tick(
+                snapshot,
+                None,
+                None,
+                None,
+                finisher.velocity,
+                np.zeros(6),
+                None,
+                True,
+                contact,
+                foreign,
+                None,
+            )
             run.ticks.append(tick_record)
             finisher.step()
             tick += 1
@@ -155,23 +178,53 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
             # the controller knows its stated latency and makes up for it; it doesn't know of a fault
             T_object[:3, 3] += velocity_now * (tick * CONTROL_S - usable.t - faults.latency)
             proposals = usable.proposals
-            chosen = None if proposals is None else chooser.best(proposals, T_object, palm, config.selection)
+            chosen = (
+                None
+                if proposals is None
+                else chooser.best(proposals, T_object, palm, config.selection)
+            )
             if proposals is not None and chosen is not None:
-                T_grasp = T_object @ proposals.T_object_palm[chosen] @ increment(np.array(faults.grasp_offset))
-                command = servo.step(t_ns, palm, T_grasp, world.T_base_hand() @ T_hand_camera, T_object[:3, 3], velocity_now)
+                T_grasp = (
+                    T_object
+                    @ proposals.T_object_palm[chosen]
+                    @ increment(np.array(faults.grasp_offset))
+                )
+                command = servo.step(
+                    t_ns,
+                    palm,
+                    T_grasp,
+                    world.T_base_hand() @ T_hand_camera,
+                    T_object[:3, 3],
+                    velocity_now,
+                )
                 demanded = command.twist.copy()
                 demanded[2] += faults.descent * config.servo.c_p_v * (T_grasp[2, 3] - palm[2, 3])
                 twist = limited(demanded)
                 early = max(0.0, -faults.close_shift)
                 nearer = _ahead(palm, T_grasp, early * config.servo.c_p_v)
-                score = grasps.score(proposals, chosen, T_object, nearer, T_grasp) + faults.evaluator_bias
+                score = (
+                    grasps.score(proposals, chosen, T_object, nearer, T_grasp)
+                    + faults.evaluator_bias
+                )
                 score = float(np.clip(score, 0.0, 1.0))
                 fire = bool(execute(score, config.execution, nearer, T_grasp))
                 run.preshape = preshape = proposals.preshapes[chosen]
                 kept = proposals.T_object_palm[chosen], preshape
         distance = world.hand_distance(NEAR) if tick % TRUTH_STEP == 0 else None
         run.ticks.append(
-            Tick(snapshot, T_object, T_grasp, preshape, velocity_now, twist, score, fire, contact, foreign, distance)
+            Tick(
+                snapshot,
+                T_object,
+                T_grasp,
+                preshape,
+                velocity_now,
+                twist,
+                score,
+                fire,
+                contact,
+                foreign,
+                distance,
+            )
         )
         if fire and due is None:
             due = tick + round((max(0.0, faults.close_shift) + plan.close_jitter) / CONTROL_S)
@@ -186,7 +239,11 @@ def run_trial(plan: Plan, scenario: Scenario, world: World, grasps: GraspSource,
         world.advance()
         tick += 1
         away = plan.speed and abs(world.data.qpos[world.object + 1]) > REACH
-        if away or tick * CONTROL_S > scenario.max_seconds or world.data.qpos[world.object + 2] < -0.1:
+        if (
+            away
+            or tick * CONTROL_S > scenario.max_seconds
+            or world.data.qpos[world.object + 2] < -0.1
+        ):
             return run
 
 
@@ -209,17 +266,23 @@ class _Chooser:
         self._world = world
         self._of: Proposals | None = None
 
-    def best(self, proposals: Proposals, T_base_object: Array, palm: Array, config: SelectionConfig) -> int | None:
+    def best(
+        self, proposals: Proposals, T_base_object: Array, palm: Array, config: SelectionConfig
+    ) -> int | None:
         poses = T_base_object @ proposals.T_object_palm
         if proposals is not self._of:
             self._of, self._feasible = proposals, Feasible(proposals.free, self._reaches)
         self._poses, self._T_object_hand = poses, invert(T_base_object) @ palm
         metric = grasp_metric(poses, proposals.scores, palm, config)
-        return self._feasible.first(by_metric(metric, config.keep_margin if proposals.kept else 0.0))
+        return self._feasible.first(
+            by_metric(metric, config.keep_margin if proposals.kept else 0.0)
+        )
 
     def _reaches(self, row: int) -> bool:
         assert self._of is not None
         if not self._of.way_free(row, self._T_object_hand):
             return False
-        _, residual = self._world.kinematics.solve(self._poses[row], self._world.q_set, 100, enough=REACHED)
+        _, residual = self._world.kinematics.solve(
+            self._poses[row], self._world.q_set, 100, enough=REACHED
+        )
         return residual < REACHED

@@ -9,7 +9,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dgeval.failure_rule import HANDED_OVER, Facts, FailureClass, Needs, Outcome, Thresholds, Verdict, classify
+from dgeval.failure_rule import (
+    HANDED_OVER,
+    Facts,
+    FailureClass,
+    Needs,
+    Outcome,
+    Thresholds,
+    Verdict,
+    classify,
+)
 from dgeval.geometry import Array, increment, rotation_angle
 from dgeval.simulation.trial import Run
 from dgeval.simulation.world import (
@@ -54,7 +63,15 @@ class Prover:
     def __init__(self, run: Run, world: World) -> None:
         self.run, self.world = run, world
         seconds = len(run.ticks) * CONTROL_S + AFTER_CLOSE_S
-        self.twin = twin_path(world.thing, run.plan.speed, run.plan.x, run.plan.y, run.plan.yaw, seconds, world.setting)
+        self.twin = twin_path(
+            world.thing,
+            run.plan.speed,
+            run.plan.x,
+            run.plan.y,
+            run.plan.yaw,
+            seconds,
+            world.setting,
+        )
         self.end = run.close if run.close is not None else len(run.ticks) - 1
 
     def closes(self, snapshot: Snapshot, velocity: Array) -> Finish:
@@ -76,15 +93,27 @@ class Prover:
         succeeded = self.run.finish is not None and self.run.finish.success
         fine_from = self.end - (0 if succeeded else round(AFTER_CLOSE_S / CONTROL_S))
         first = self.end - (self.end - near[0]) // coarse * coarse
-        wanted = [k for k in range(first, self.end + 1, TRUTH_STEP) if k >= fine_from or (k - first) % coarse == 0]
+        wanted = [
+            k
+            for k in range(first, self.end + 1, TRUTH_STEP)
+            if k >= fine_from or (k - first) % coarse == 0
+        ]
         tried = {k: self._closes_at(k) for k in wanted}
         for k in [k for k in wanted if tried[k] and k < fine_from]:
             if not tried.get(k - coarse) and not tried.get(k + coarse):
-                tried.update({n: self._closes_at(n) for n in (k - TRUTH_STEP, k + TRUTH_STEP) if n not in tried})
+                tried.update(
+                    {
+                        n: self._closes_at(n)
+                        for n in (k - TRUTH_STEP, k + TRUTH_STEP)
+                        if n not in tried
+                    }
+                )
         out = [((k - self.end) * CONTROL_S, tried[k]) for k in sorted(tried)]
         if self.run.close is not None:
             tick = ticks[self.end]
-            for offset, snapshot in self._held_open(tick.snapshot, tick.twist, coarse if succeeded else TRUTH_STEP):
+            for offset, snapshot in self._held_open(
+                tick.snapshot, tick.twist, coarse if succeeded else TRUTH_STEP
+            ):
                 out.append((offset, self.closes(snapshot, tick.velocity).success))
         return tuple((round(offset, 3), success) for offset, success in out)
 
@@ -133,7 +162,11 @@ class Prover:
         for step in FREE_STEPS_M:
             moves += [np.concatenate([step * d, np.zeros(3)]) for d in _directions()]
         for angle in FREE_STEPS_DEG:
-            moves += [np.concatenate([np.zeros(3), np.radians(angle) * s * e]) for e in np.eye(3) for s in (1, -1)]
+            moves += [
+                np.concatenate([np.zeros(3), np.radians(angle) * s * e])
+                for e in np.eye(3)
+                for s in (1, -1)
+            ]
         for move in moves:
             w.restore(tick.snapshot)
             if w.put_arm(w.T_base_palm() @ increment(move)) > 1e-3:
@@ -149,7 +182,10 @@ class Prover:
         for step in ERROR_STEPS_M:
             for d in _directions()[:6]:
                 w.restore(tick.snapshot)
-                if w.put_arm(w.T_base_palm() @ increment(np.concatenate([step * d, np.zeros(3)]))) > 1e-3:
+                if (
+                    w.put_arm(w.T_base_palm() @ increment(np.concatenate([step * d, np.zeros(3)])))
+                    > 1e-3
+                ):
                     continue
                 if w.overlap() > 0.002:
                     continue
@@ -161,7 +197,9 @@ class Prover:
 def _directions() -> list[Array]:
     """Six axes, then eight diagonals."""
     axes = [s * e for e in np.eye(3) for s in (1.0, -1.0)]
-    return axes + [np.array([a, b, c]) / np.sqrt(3) for a in (1, -1) for b in (1, -1) for c in (1, -1)]
+    return axes + [
+        np.array([a, b, c]) / np.sqrt(3) for a in (1, -1) for b in (1, -1) for c in (1, -1)
+    ]
 
 
 def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bool = True) -> Truth:
@@ -175,7 +213,9 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
     succeeded = run.finish is not None and run.finish.success
     curve = prover.curve()
     if succeeded:
-        return Truth("success", None, None, None, curve, None, None, foreign, t_contact, (), prover.twin)
+        return Truth(
+            "success", None, None, None, curve, None, None, foreign, t_contact, (), prover.twin
+        )
     metres, degrees = prover.displacement()
     displaced = [k for k in range(prover.end + 1) if metres[k] > 0.001 or degrees[k] > 1.0]
     facts = Facts(
@@ -194,7 +234,11 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
                 other, facts = _decide(prover, facts, thresholds.scaled(name, factor), contacts)
                 if other.failure_class != verdict.failure_class:
                     changed.append(f"{name} x {factor}")
-    error = prover.pose_error() if verdict.failure_class == "imprecise_pose" and run.close is not None else None
+    error = (
+        prover.pose_error()
+        if verdict.failure_class == "imprecise_pose" and run.close is not None
+        else None
+    )
     outcome: Outcome = "failure"
     return Truth(
         outcome, verdict.failure_class, verdict.sub_cause, verdict.shift_s, curve, facts, error, foreign, t_contact,
@@ -202,7 +246,9 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
     )  # fmt: skip
 
 
-def _decide(prover: Prover, facts: Facts, thresholds: Thresholds, contacts: list[int]) -> tuple[Verdict, Facts]:
+def _decide(
+    prover: Prover, facts: Facts, thresholds: Thresholds, contacts: list[int]
+) -> tuple[Verdict, Facts]:
     """Ask the rule, find out what it wants to know, ask again."""
     while isinstance(answer := classify(facts, thresholds), Needs):
         if answer.fact == "free_pose":

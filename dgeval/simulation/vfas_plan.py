@@ -15,8 +15,14 @@ from dgeval.worlds.presenter import Presenter
 from dgeval.worlds.presenter import drawn as drawn_presenter
 from dgeval.worlds.scene import TURNTABLE_CENTRE
 
-PLACES_X, PLACES_Y, GAP = (0.36, 0.60), (-0.26, 0.26), 0.025  # m; where objects stand, and what is free between them
-HANDOVER_START = np.array([0.36, 0.0, 0.42])  # m, where the gripper waits, looking 50 degrees down; ours
+PLACES_X, PLACES_Y, GAP = (
+    (0.36, 0.60),
+    (-0.26, 0.26),
+    0.025,
+)  # m; where objects stand, and what is free between them
+HANDOVER_START = np.array(
+    [0.36, 0.0, 0.42]
+)  # m, where the gripper waits, looking 50 degrees down; ours
 HANDOVER_PITCH = np.radians(140.0)
 
 
@@ -32,11 +38,28 @@ def plan_vfas(scenario: Scenario, things: dict[str, ObjectModel], seed: int, ind
         count = scenario.table.objects
         arrangement, target = index // count % scenario.table.arrangements, index % count
         chosen = [names[(arrangement % 2 * count + k) % len(names)] for k in range(count)]
-        places = arranged([things[n] for n in chosen], generator(seed, f"arrangement/{scenario.name}", arrangement))
-        others = tuple((n, *p) for k, (n, p) in enumerate(zip(chosen, places, strict=True)) if k != target)
+        places = arranged(
+            [things[n] for n in chosen],
+            generator(seed, f"arrangement/{scenario.name}", arrangement),
+        )
+        others = tuple(
+            (n, *p) for k, (n, p) in enumerate(zip(chosen, places, strict=True)) if k != target
+        )
         x, y, yaw = places[target]
         name = chosen[target]
-        return Plan(f"{name}-{arrangement:02d}-{index:04d}", name, 0.0, x, y, yaw, 0.0, Faults(), seed, index, others=others)
+        return Plan(
+            f"{name}-{arrangement:02d}-{index:04d}",
+            name,
+            0.0,
+            x,
+            y,
+            yaw,
+            0.0,
+            Faults(),
+            seed,
+            index,
+            others=others,
+        )
     name = names[index % len(names)]
     if scenario.turntable is not None:
         t = scenario.turntable
@@ -44,20 +67,44 @@ def plan_vfas(scenario: Scenario, things: dict[str, ObjectModel], seed: int, ind
         place = rng.uniform(-np.pi, np.pi)
         sign = 1.0 if rng.random() < 0.5 else -1.0
         turn = Turn(t.start, sign * t.rate, float(np.radians(rng.uniform(*t.angle))))
-        x, y = TURNTABLE_CENTRE[0] + radius * np.cos(place), TURNTABLE_CENTRE[1] + radius * np.sin(place)
+        x, y = (
+            TURNTABLE_CENTRE[0] + radius * np.cos(place),
+            TURNTABLE_CENTRE[1] + radius * np.sin(place),
+        )
         trial = f"{name}-{round(radius * t.rate * 1000):03d}-{index:04d}"
-        return Plan(trial, name, 0.0, float(x), float(y), yaw, 0.0, Faults(), seed, index, turn=turn)
+        return Plan(
+            trial, name, 0.0, float(x), float(y), yaw, 0.0, Faults(), seed, index, turn=turn
+        )
     if scenario.presenter is None:
-        raise UsageError(f"scenario {scenario.name!r}: no table, turntable or presenter", hint="the pipeline vfas needs one")
+        raise UsageError(
+            f"scenario {scenario.name!r}: no table, turntable or presenter",
+            hint="the pipeline vfas needs one",
+        )
     presenter = _presented(scenario, things[name], rng, yaw)
-    return Plan(f"{name}-{index:04d}", name, 0.0, 0.0, 0.0, yaw, 0.0, Faults(), seed, index, presenter=presenter)
+    return Plan(
+        f"{name}-{index:04d}",
+        name,
+        0.0,
+        0.0,
+        0.0,
+        yaw,
+        0.0,
+        Faults(),
+        seed,
+        index,
+        presenter=presenter,
+    )
 
 
-def arranged(things: list[ObjectModel], rng: np.random.Generator) -> list[tuple[float, float, float]]:
+def arranged(
+    things: list[ObjectModel], rng: np.random.Generator
+) -> list[tuple[float, float, float]]:
     """x, y, yaw of upright objects that stand clear of each other; UsageError where they don't fit."""
     reach = [float(np.linalg.norm(t.extent()[:2])) / 2 for t in things]
     for _ in range(2000):
-        xy = np.column_stack([rng.uniform(*PLACES_X, len(things)), rng.uniform(*PLACES_Y, len(things))])
+        xy = np.column_stack(
+            [rng.uniform(*PLACES_X, len(things)), rng.uniform(*PLACES_Y, len(things))]
+        )
         apart = np.linalg.norm(xy[:, None] - xy[None], axis=2) - np.add.outer(reach, reach)
         if (apart[np.triu_indices(len(things), 1)] > GAP).all():
             yaws = rng.uniform(-np.pi, np.pi, len(things))
@@ -75,7 +122,9 @@ def waiting_pose() -> Array:
     return T
 
 
-def _presented(scenario: Scenario, thing: ObjectModel, rng: np.random.Generator, yaw: float) -> Presenter:
+def _presented(
+    scenario: Scenario, thing: ObjectModel, rng: np.random.Generator, yaw: float
+) -> Presenter:
     """To where the gripper looks: the upper part of the object comes to the seed, give or take 3 cm."""
     assert scenario.presenter is not None
     c = scenario.presenter

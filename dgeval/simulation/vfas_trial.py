@@ -26,8 +26,13 @@ from dgeval.simulation.world import FINISH_S, Finish, Finisher, World
 from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
 from dgeval.worlds.objects import at
 
-ARRIVED_M, ADVANCE_S = 0.003, 3.0  # the last advance ends within so much of the grasp, or after so long
-NEAR_HOME = np.array([0.0, -0.37, 0.0, 2.32, 0.0, -1.19, 0.0])  # where inverse kinematics starts from
+ARRIVED_M, ADVANCE_S = (
+    0.003,
+    3.0,
+)  # the last advance ends within so much of the grasp, or after so long
+NEAR_HOME = np.array(
+    [0.0, -0.37, 0.0, 2.32, 0.0, -1.19, 0.0]
+)  # where inverse kinematics starts from
 WAYPOINTS = 6  # of the advance, looked at for obstacles
 
 
@@ -41,7 +46,9 @@ class Seed:
 
 def known_jaw_grasps(world: World) -> list[Array]:
     """T_object_grasp of the shipped ones of the eight objects; for others a search of some seconds."""
-    shipped = json.loads((resources.files("dgeval.simulation") / "known_jaw_grasps.json").read_text(encoding="utf-8"))
+    shipped = json.loads(
+        (resources.files("dgeval.simulation") / "known_jaw_grasps.json").read_text(encoding="utf-8")
+    )
     if world.thing.name in shipped:
         return [matrix_from_pose(np.array(g)) for g in shipped[world.thing.name]]
     return search(world.thing, 12, 5)
@@ -64,10 +71,15 @@ def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
         if residual > REACHED:
             continue
         world.q_set = q
-        ways = (T @ at(0, 0, -share * scenario.pipeline.vfas.pregrasp) for share in np.linspace(1.0, 0.0, WAYPOINTS))
+        ways = (
+            T @ at(0, 0, -share * scenario.pipeline.vfas.pregrasp)
+            for share in np.linspace(1.0, 0.0, WAYPOINTS)
+        )
         if all(world.put_arm(way) < REACHED and not any(world.touching()) for way in ways):
             error = scenario.seed_error
-            xi = np.concatenate([rng.normal(0, error.position, 3), rng.normal(0, np.radians(error.angle), 3)])
+            xi = np.concatenate(
+                [rng.normal(0, error.position, 3), rng.normal(0, np.radians(error.angle), 3)]
+            )
             T_seed = T @ increment(xi)
             q_seed, residual = world.kinematics.solve(T_seed @ back, q)
             if residual < REACHED:
@@ -75,7 +87,9 @@ def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
     return None
 
 
-def run_vfas(plan: Plan, scenario: Scenario, world: World, eyes: Eyes) -> tuple[Run, dict[int, Images]]:
+def run_vfas(
+    plan: Plan, scenario: Scenario, world: World, eyes: Eyes
+) -> tuple[Run, dict[int, Images]]:
     """Simulate one trial to 1.6 s after the lift, or until it gives up. Also gives the images, by frame."""
     run = Run(plan, preshape=OPEN.copy())
     kept: dict[int, Images] = {}
@@ -83,11 +97,27 @@ def run_vfas(plan: Plan, scenario: Scenario, world: World, eyes: Eyes) -> tuple[
     seed = seed_for(plan, scenario, world)
     world.start(NEAR_HOME if seed is None else seed.q_arm, OPEN, plan.x, plan.y, plan.yaw, 0.0)
     if seed is None:
-        run.ticks.append(Tick(world.save(), None, None, None, np.zeros(3), np.zeros(6), None, False, False, False, None))
+        run.ticks.append(
+            Tick(
+                world.save(),
+                None,
+                None,
+                None,
+                np.zeros(3),
+                np.zeros(6),
+                None,
+                False,
+                False,
+                False,
+                None,
+            )
+        )
         return run, kept
     run.T_base_seed = seed.T_base_seed
     urdf = robot_urdf(world.gripper.T_hand_camera, world.gripper)
-    hand_model = load_description(urdf, "the simulated robot", (), config.self_filter.radius_default)
+    hand_model = load_description(
+        urdf, "the simulated robot", (), config.self_filter.radius_default
+    )
     loop = VfasLoop(config, seed.T_base_seed)
     arriving: Delayed[Selected] = Delayed(config.schedule.perception_latency_s)
     frames = set(frame_ticks(scenario.camera.rate, scenario.max_seconds + FINISH_S + 1))
@@ -99,7 +129,9 @@ def run_vfas(plan: Plan, scenario: Scenario, world: World, eyes: Eyes) -> tuple[
     while True:
         t_ns = round(tick * CONTROL_S * 1e9)
         if tick in frames:
-            frame, jpeg, depth = look(n_frame, t_ns, world, eyes, hand_model, scenario.camera.jpeg_quality)
+            frame, jpeg, depth = look(
+                n_frame, t_ns, world, eyes, hand_model, scenario.camera.jpeg_quality
+            )
             kept[n_frame] = Images(jpeg, depth, None)
             if advancing is None:
                 assert frame.T_base_camera is not None
@@ -113,7 +145,21 @@ def run_vfas(plan: Plan, scenario: Scenario, world: World, eyes: Eyes) -> tuple[
         contact, foreign = world.touching()
         still = np.zeros(3)
         if finisher is not None:
-            run.ticks.append(Tick(snapshot, None, None, None, still, np.zeros(6), None, True, contact, foreign, None))
+            run.ticks.append(
+                Tick(
+                    snapshot,
+                    None,
+                    None,
+                    None,
+                    still,
+                    np.zeros(6),
+                    None,
+                    True,
+                    contact,
+                    foreign,
+                    None,
+                )
+            )
             finisher.step()
             tick += 1
             if finisher.ticks * CONTROL_S >= FINISH_S:
@@ -131,9 +177,25 @@ def run_vfas(plan: Plan, scenario: Scenario, world: World, eyes: Eyes) -> tuple[
             if execute and advancing is None:
                 advancing = tick
         distance = world.hand_distance(NEAR) if tick % TRUTH_STEP == 0 else None
-        run.ticks.append(Tick(snapshot, None, T_grasp, run.preshape, still, twist, score, execute, contact, foreign, distance))
+        run.ticks.append(
+            Tick(
+                snapshot,
+                None,
+                T_grasp,
+                run.preshape,
+                still,
+                twist,
+                score,
+                execute,
+                contact,
+                foreign,
+                distance,
+            )
+        )
         if advancing is not None and T_grasp is not None:
-            left = float(np.linalg.norm(hand[:3, 3] - T_grasp[:3, 3])) + 0.1 * rotation_angle(hand[:3, :3].T @ T_grasp[:3, :3])
+            left = float(np.linalg.norm(hand[:3, 3] - T_grasp[:3, 3])) + 0.1 * rotation_angle(
+                hand[:3, :3].T @ T_grasp[:3, :3]
+            )
             if left < ARRIVED_M or (tick - advancing) * CONTROL_S > ADVANCE_S:
                 run.close = tick
                 finisher = Finisher(world, still, run.preshape)

@@ -14,7 +14,15 @@ from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
 from dgeval.robots.dlr_hit_hand import CLOSE_S, T_hand_palm
 from dgeval.robots.hand import FIVE_FINGERS, Gripper
 from dgeval.simulation.setting import Setting, present
-from dgeval.worlds.closing import CONTROL_S, LIFT_S, MAX_FROM_HAND, MIN_LIFT, SETTLE_S, SUBSTEPS, finishing_twist
+from dgeval.worlds.closing import (
+    CONTROL_S,
+    LIFT_S,
+    MAX_FROM_HAND,
+    MIN_LIFT,
+    SETTLE_S,
+    SUBSTEPS,
+    finishing_twist,
+)
 from dgeval.worlds.objects import ObjectModel
 from dgeval.worlds.presenter import GRIP, GRIPPED_N, RELEASE_S
 from dgeval.worlds.scene import TURNTABLE_TOP, Camera, build, finger_forces, least_distance, pose_of
@@ -69,18 +77,30 @@ class World:
         self.q_set = np.zeros(7)
         self.rest = thing.rest_height() + (TURNTABLE_TOP if self.setting.turn is not None else 0.0)
 
-    def start(self, q_arm: Array, preshape: Array, x: float, y: float, yaw: float, object_velocity: float) -> None:
+    def start(
+        self, q_arm: Array, preshape: Array, x: float, y: float, yaw: float, object_velocity: float
+    ) -> None:
         """Arm and fingers at rest, the object standing on the belt and moving with it, or in the presenter's hand."""
         d = self.data
         mujoco.mj_resetData(self.model, d)
         d.qpos[self.arm] = self.q_set = q_arm.copy()
         d.qpos[self.fingers] = self.gripper.positions(preshape)
-        d.qpos[self.object : self.object + 7] = [x, y, self.rest, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+        d.qpos[self.object : self.object + 7] = [
+            x,
+            y,
+            self.rest,
+            np.cos(yaw / 2),
+            0,
+            0,
+            np.sin(yaw / 2),
+        ]
         d.qvel[self.object_dof + 1] = object_velocity
         self.setting.put(self.model, d)
         if self.presenter is not None:
             present(self.presenter, d)
-            d.qpos[self.object : self.object + 7] = np.concatenate([d.mocap_pos[0], d.mocap_quat[0]])
+            d.qpos[self.object : self.object + 7] = np.concatenate(
+                [d.mocap_pos[0], d.mocap_quat[0]]
+            )
         self.command(np.zeros(7), preshape)
         mujoco.mj_forward(self.model, d)
 
@@ -101,7 +121,9 @@ class World:
         return Snapshot(self.t, state, self.q_set.copy())
 
     def restore(self, snapshot: Snapshot) -> None:
-        mujoco.mj_setState(self.model, self.data, snapshot.state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_setState(
+            self.model, self.data, snapshot.state, mujoco.mjtState.mjSTATE_INTEGRATION
+        )
         self.q_set = snapshot.q_set.copy()
         mujoco.mj_forward(self.model, self.data)
 
@@ -152,7 +174,10 @@ class World:
         m, d = self.model, self.data
         reach = limit + 0.15
         if (
-            np.linalg.norm(transform(self.T_base_hand(), self.gripper.centre[None])[0] - d.xpos[m.body("object").id])
+            np.linalg.norm(
+                transform(self.T_base_hand(), self.gripper.centre[None])[0]
+                - d.xpos[m.body("object").id]
+            )
             > reach + 0.15
         ):
             return limit
@@ -169,7 +194,9 @@ class World:
 
     @property
     def held_by_presenter(self) -> bool:
-        return self.presenter is not None and bool(self.data.eq_active[self.model.equality(GRIP).id])
+        return self.presenter is not None and bool(
+            self.data.eq_active[self.model.equality(GRIP).id]
+        )
 
     def hand_over(self) -> None:
         """The presenter lets go."""
@@ -201,7 +228,9 @@ class Finisher:
         self.height = 0.0
         self._gripped_s = 0.0
         if world.presenter is not None:
-            world.rest = float(world.data.qpos[world.object + 2])  # lifted means: above where it was presented
+            world.rest = float(
+                world.data.qpos[world.object + 2]
+            )  # lifted means: above where it was presented
         self.result: Finish | None = None
 
     def step(self) -> None:
@@ -256,7 +285,13 @@ def _built(
 
 
 def twin_path(
-    thing: ObjectModel, belt_speed: float, x: float, y: float, yaw: float, seconds: float, setting: Setting | None = None
+    thing: ObjectModel,
+    belt_speed: float,
+    x: float,
+    y: float,
+    yaw: float,
+    seconds: float,
+    setting: Setting | None = None,
 ) -> Array:
     """The object without any robot: rows (pose 7, velocity 6) in MuJoCo's order, one per control period from t = 0."""
     setting = setting or Setting()
@@ -293,7 +328,9 @@ def home(kinematics: ArmKinematics, y: float, height: float = 0.54) -> Array:
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[:3, 3] = (0.36, y, height)
     turn = np.arctan2(y, 0.45)
-    q, residual = kinematics.solve(T @ T_hand_palm, np.array([turn, -0.37, 0.0, 2.32, 0.0, -1.19, -turn]))
+    q, residual = kinematics.solve(
+        T @ T_hand_palm, np.array([turn, -0.37, 0.0, 2.32, 0.0, -1.19, -turn])
+    )
     if residual > 1e-4:
         raise ValueError(f"the arm does not reach its home over y = {y} m")
     return q

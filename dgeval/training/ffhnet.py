@@ -30,7 +30,14 @@ DROPOUT = 0.05  # the authors' 0.3 leaves networks of this size short of their o
 CLEARANCE = 0.02  # m above an object's top: a hand whose grasp centre is higher holds nothing
 # shares of an evaluator's batch: held, tried and failed, overlapping, the authors' hard negatives, hands that are far off
 # and hands on their way to a grasp, drawn back along their fingers
-SHARES = {"held": 0.40, "failed": 0.20, "overlapping": 0.15, "hard": 0.08, "retreated": 0.12, "far": 0.05}
+SHARES = {
+    "held": 0.40,
+    "failed": 0.20,
+    "overlapping": 0.15,
+    "hard": 0.08,
+    "retreated": 0.12,
+    "far": 0.05,
+}
 # the same once it has an evaluator's own choices
 TUNE_SHARES = {
     "held": 0.20, "chosen_held": 0.22, "failed": 0.12, "chosen_failed": 0.18, "overlapping": 0.12, "hard": 0.05,
@@ -73,7 +80,12 @@ class ObjectData:
 
 
 def load_objects(
-    folder: Path, settings: Settings, count: int, seed: int, proposed: Path | None = None, chosen: Path | None = None
+    folder: Path,
+    settings: Settings,
+    count: int,
+    seed: int,
+    proposed: Path | None = None,
+    chosen: Path | None = None,
 ) -> list[ObjectData]:
     """Grasps of procedural objects 0 … count - 1 with views of them. UsageError where there are none that held.
 
@@ -81,13 +93,22 @@ def load_objects(
     evaluator's choices, of these objects or of others, which follow.
     """
     out = []
-    others = [] if chosen is None else sorted(k for k in map(_index_of, chosen.glob("*.npz")) if k >= count)
+    others = (
+        []
+        if chosen is None
+        else sorted(k for k in map(_index_of, chosen.glob("*.npz")) if k >= count)
+    )
     for index in [*range(count), *others]:
         thing = procedural_object(index, seed)
         path = folder / f"{thing.name}.npz"
         if index < count and not path.is_file():
-            raise UsageError(f"no grasps of {thing.name} in {folder}", hint="make them: dgeval train ffhnet --out DIR")
-        files = [] if index >= count else [path] if proposed is None else [path, proposed / path.name]
+            raise UsageError(
+                f"no grasps of {thing.name} in {folder}",
+                hint="make them: dgeval train ffhnet --out DIR",
+            )
+        files = (
+            [] if index >= count else [path] if proposed is None else [path, proposed / path.name]
+        )
         general = len(files)
         if chosen is not None and (chosen / path.name).is_file():
             files.append(chosen / path.name)
@@ -171,7 +192,9 @@ def _hard(T: Array, rng: np.random.Generator) -> Array:
     return out
 
 
-def generator_loss(network: FFHGenerator, bps: Tensor, palms: Palms, z: Tensor) -> tuple[Tensor, dict[str, float]]:
+def generator_loss(
+    network: FFHGenerator, bps: Tensor, palms: Palms, z: Tensor
+) -> tuple[Tensor, dict[str, float]]:
     """The published loss, with z (n, 5) standard normal draws for the code; and its parts."""
     mu, logvar = network.encode(bps, palms)
     out = network.decode(mu + z * torch.exp(0.5 * logvar), bps)
@@ -184,7 +207,9 @@ def generator_loss(network: FFHGenerator, bps: Tensor, palms: Palms, z: Tensor) 
     return torch.stack(list(terms.values())).sum(), {k: float(v.detach()) for k, v in terms.items()}
 
 
-def evaluator_loss(network: FFHEvaluator, bps: Tensor, palms: Palms, label: Tensor) -> tuple[Tensor, dict[str, float]]:
+def evaluator_loss(
+    network: FFHEvaluator, bps: Tensor, palms: Palms, label: Tensor
+) -> tuple[Tensor, dict[str, float]]:
     """The published loss for label (n,), and the cross entropy in it."""
     loss = functional.binary_cross_entropy_with_logits(network.logits(bps, palms, DROPOUT), label)
     return 10 * loss, {"BCE": float(loss.detach())}
@@ -194,7 +219,11 @@ def new_network(kind: Kind, settings: Settings) -> FFHGenerator | FFHEvaluator:
     """With weights drawn from the seed."""
     torch.manual_seed(settings.seed)
     size = settings.n_bps, settings.width, settings.hidden
-    return FFHGenerator(*size) if kind == "generator" else FFHEvaluator(*size, joints=kind == "evaluator_fingers")
+    return (
+        FFHGenerator(*size)
+        if kind == "generator"
+        else FFHEvaluator(*size, joints=kind == "evaluator_fingers")
+    )
 
 
 def train(
@@ -220,7 +249,9 @@ def train(
         return evaluator_loss(network, *batch_of(objects, settings.batch, SHARES, rng))
 
     rates = settings.learning_rate, settings.weight_decay
-    optimise(network, loss_of, steps, rates, {"kind": kind, **asdict(settings)}, checkpoint, progress)
+    optimise(
+        network, loss_of, steps, rates, {"kind": kind, **asdict(settings)}, checkpoint, progress
+    )
     return network
 
 
@@ -235,7 +266,11 @@ def tune(
 
     What it takes from the cloud's basis point set stays as it is: training that too gained 0.01 of ROC-AUC.
     """
-    for block, before in ((network.rb1, 0), (network.rb2, settings.width), (network.rb3, settings.width)):
+    for block, before in (
+        (network.rb1, 0),
+        (network.rb2, settings.width),
+        (network.rb3, settings.width),
+    ):
         for layer in (block.fc1, block.fc3):
             free = torch.ones_like(layer.weight)
             free[:, before : before + settings.n_bps] = 0.0
@@ -247,10 +282,20 @@ def tune(
         return evaluator_loss(network, *batch_of(objects, settings.batch, TUNE_SHARES, rng))
 
     about = {"tuned": True, "joints": network.joints, **asdict(settings)}
-    optimise(network, loss_of, settings.tune_steps, (settings.tune_rate, 0.0), about, checkpoint, progress)
+    optimise(
+        network,
+        loss_of,
+        settings.tune_steps,
+        (settings.tune_rate, 0.0),
+        about,
+        checkpoint,
+        progress,
+    )
 
 
-def calibrate(network: FFHEvaluator, bps: Tensor, palms: Palms, held: Tensor) -> tuple[float, float]:
+def calibrate(
+    network: FFHEvaluator, bps: Tensor, palms: Palms, held: Tensor
+) -> tuple[float, float]:
     """Platt's scaling, put into the last layer: factor and offset of the logit. Grasps of objects that trained nothing."""
     with torch.no_grad():
         logits = network.logits(bps, palms)

@@ -20,7 +20,15 @@ from dgeval import __version__
 from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, increment, invert
 from dgeval.networks.ffhnet import FFHGenerator, load_evaluator, load_generator
-from dgeval.planning.grasps import Candidates, EncodedCloud, Networks, draw, encode_cloud, free_of, propose
+from dgeval.planning.grasps import (
+    Candidates,
+    EncodedCloud,
+    Networks,
+    draw,
+    encode_cloud,
+    free_of,
+    propose,
+)
 from dgeval.recording.containers.container import sha256_of
 from dgeval.robots.dlr_hit_hand import T_hand_palm
 from dgeval.simulation.grasps import FlyingHand, candidate
@@ -28,8 +36,16 @@ from dgeval.training.views import cloud_of, views_of
 from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_points
 
 VERSION = 2  # of what is drawn below: files of another one are made again
-NOISE_SCALES = ((0.003, np.radians(3)), (0.008, np.radians(8)), (0.016, np.radians(16)))  # m, rad; perturbed positives
-APPROACH_M, APPROACH_SD, APPROACH_RAD = (0.01, 0.10), 0.008, np.radians(6)  # back along the fingers, and off to the side
+NOISE_SCALES = (
+    (0.003, np.radians(3)),
+    (0.008, np.radians(8)),
+    (0.016, np.radians(16)),
+)  # m, rad; perturbed positives
+APPROACH_M, APPROACH_SD, APPROACH_RAD = (
+    (0.01, 0.10),
+    0.008,
+    np.radians(6),
+)  # back along the fingers, and off to the side
 OVERLAP = 0.002  # m; hand and object deeper in each other than this: no pose a robot could be in
 LIGHT_TOUCH = 0.004  # m; proposals may touch by so much, as hands do that arrive
 PROPOSED_VIEWS = 8
@@ -119,7 +135,9 @@ def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: in
     poses, joints, held, overlapping = [], [], [], []
     for k, view in enumerate(views):
         bps = torch.from_numpy(view.bps)[None]
-        T_view_palm, drawn = draw(bps, network, -(-tried // PROPOSED_VIEWS), seed, f"proposed/{thing.name}", k)
+        T_view_palm, drawn = draw(
+            bps, network, -(-tried // PROPOSED_VIEWS), seed, f"proposed/{thing.name}", k
+        )
         for T, q in zip(invert(view.T_view_object) @ T_view_palm, drawn, strict=True):
             world.put_palm(T, q)
             deep = world.overlap(anything=True) > LIGHT_TOUCH
@@ -139,7 +157,9 @@ def holds(world: FlyingHand, T_object_palm: Array, joints: Array) -> bool:
     return world.overlap(anything=True) <= LIGHT_TOUCH and world.lifts(joints, shake=True)
 
 
-def free_on_table(thing: ObjectModel, T_cloud_object: Array, cloud: EncodedCloud, candidates: Candidates) -> NDArray[np.bool_]:
+def free_on_table(
+    thing: ObjectModel, T_cloud_object: Array, cloud: EncodedCloud, candidates: Candidates
+) -> NDArray[np.bool_]:
     """Which candidates (n,) lie at most a light touch deep in the cloud of a standing object and in its table."""
     normal = T_cloud_object[:3, 2]
     support = normal, float(normal @ T_cloud_object[:3, 3]) - thing.rest_height()
@@ -178,11 +198,22 @@ def try_selected(
             joints.append(drawn.joints[row])
             held.append(holds(world, T_object_palm, drawn.joints[row]))
     shape = (-1, 4, 4)
-    return clouds, np.reshape(poses, shape), np.reshape(in_object, shape), np.reshape(joints, (-1, 15)), np.array(held, bool)
+    return (
+        clouds,
+        np.reshape(poses, shape),
+        np.reshape(in_object, shape),
+        np.reshape(joints, (-1, 15)),
+        np.array(held, bool),
+    )
 
 
 def write_grasps(
-    index: int, out: Path, seed: int, tried: int, weights: Path | None = None, evaluator: Path | None = None
+    index: int,
+    out: Path,
+    seed: int,
+    tried: int,
+    weights: Path | None = None,
+    evaluator: Path | None = None,
 ) -> Path:
     """Grasps of procedural object `index` as OUT/<object>.npz; a finished file of the same settings is kept.
 

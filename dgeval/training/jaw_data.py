@@ -34,7 +34,9 @@ POINTS = 6000  # kept of a view
 NEAR = 0.16  # m about the grasp, of what is kept
 PER_SEED = 24  # poses round each seed
 OTHER_SHARE = 0.4  # of scenes with a second object near
-CAMERAS = tuple(Camera(name, depth_intrinsics(D405, *SIZE), T_hand_camera) for name in ("colour", "depth"))
+CAMERAS = tuple(
+    Camera(name, depth_intrinsics(D405, *SIZE), T_hand_camera) for name in ("colour", "depth")
+)
 GRAZING = np.cos(np.radians(80.0))  # of the angle between normal and ray
 
 
@@ -58,7 +60,9 @@ def view(
     world: FlyingJaw, eyes: Eyes, T_base_seed: Array, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """What the camera sees from about the pre-grasp pose: points (n, 3) in the seed's frame, grazing, table."""
-    moved = perturbed(T_base_seed[None], np.array([0.03] * 3), np.radians(8), rng)[0] @ at(0, 0, -rng.uniform(0.07, 0.15))
+    moved = perturbed(T_base_seed[None], np.array([0.03] * 3), np.radians(8), rng)[0] @ at(
+        0, 0, -rng.uniform(0.07, 0.15)
+    )
     world.put(moved)
     mujoco.mj_camlight(world.model, world.data)
     k = CAMERAS[0].intrinsics
@@ -73,12 +77,16 @@ def view(
     base = transform(T_base_camera, camera.reshape(-1, 3))
     local = transform(invert(T_base_seed), base)
     own = eyes.mask_of(np.flatnonzero(world.of_hand).tolist()).ravel()
-    kept = np.flatnonzero((depth.ravel() > D405.min_range) & (np.abs(local).max(axis=1) < NEAR) & ~own)
+    kept = np.flatnonzero(
+        (depth.ravel() > D405.min_range) & (np.abs(local).max(axis=1) < NEAR) & ~own
+    )
     kept = np.sort(rng.permutation(kept)[:POINTS])
     return local[kept], (along.ravel() < GRAZING)[kept], (base[:, 2] < 0.002)[kept]
 
 
-def scenes_of(thing: ObjectModel, other: ObjectModel, seed: int, seeds: int, per_seed: int = PER_SEED) -> list[Scene]:
+def scenes_of(
+    thing: ObjectModel, other: ObjectModel, seed: int, seeds: int, per_seed: int = PER_SEED
+) -> list[Scene]:
     """Up to `seeds` scenes of an object; each draws its own place of the other one."""
     out: list[Scene] = []
     world = FlyingJaw(thing, other, CAMERAS)
@@ -92,10 +100,14 @@ def scenes_of(thing: ObjectModel, other: ObjectModel, seed: int, seeds: int, per
             T_object_seed = seed_pose(surface, rng)
             near, turn = rng.random() < OTHER_SHARE, rng.uniform(0, 2 * np.pi)
             far = float(
-                np.linalg.norm(thing.extent()[:2]) / 2 + np.linalg.norm(other.extent()[:2]) / 2 + rng.uniform(0.005, 0.06)
+                np.linalg.norm(thing.extent()[:2]) / 2
+                + np.linalg.norm(other.extent()[:2]) / 2
+                + rng.uniform(0.005, 0.06)
             )
             place = (0.5 + far * np.cos(turn), far * np.sin(turn)) if near else (3.0, 0.0)
-            world.T_base_other = at(place[0], place[1], other.rest_height(), Rotation.from_euler("z", turn).as_matrix())
+            world.T_base_other = at(
+                place[0], place[1], other.rest_height(), Rotation.from_euler("z", turn).as_matrix()
+            )
             if T_object_seed is None:
                 continue
             T_base_seed = T_base_object @ T_object_seed
@@ -106,10 +118,17 @@ def scenes_of(thing: ObjectModel, other: ObjectModel, seed: int, seeds: int, per
             if not world.lifts() and rng.random() < 0.8:
                 continue
             size = (1.0, 2.0, 3.0)[k % 3]
-            poses = perturbed(np.tile(T_base_seed, (per_seed, 1, 1)), np.full(3, 0.02 * size), np.radians(5) * size, rng)
+            poses = perturbed(
+                np.tile(T_base_seed, (per_seed, 1, 1)),
+                np.full(3, 0.02 * size),
+                np.radians(5) * size,
+                rng,
+            )
             poses[0] = T_base_seed
             near_ones = per_seed // 4
-            poses[1 : 1 + near_ones] = perturbed(np.tile(T_base_seed, (near_ones, 1, 1)), np.full(3, 0.008), np.radians(4), rng)
+            poses[1 : 1 + near_ones] = perturbed(
+                np.tile(T_base_seed, (near_ones, 1, 1)), np.full(3, 0.008), np.radians(4), rng
+            )
             held, table_hit = np.zeros(per_seed, bool), np.zeros(per_seed, bool)
             for i, T in enumerate(poses):
                 free, over_table = world.free_way(T)
@@ -119,7 +138,16 @@ def scenes_of(thing: ObjectModel, other: ObjectModel, seed: int, seeds: int, per
                     held[i] = world.lifts()
             points, grazing, table = view(world, eyes, T_base_seed, rng)
             if len(points) >= 200:
-                out.append(Scene(points.astype(np.float32), grazing, table, invert(T_base_seed) @ poses, held, table_hit))
+                out.append(
+                    Scene(
+                        points.astype(np.float32),
+                        grazing,
+                        table,
+                        invert(T_base_seed) @ poses,
+                        held,
+                        table_hit,
+                    )
+                )
     return out
 
 
@@ -129,7 +157,9 @@ def write_scenes(index: int, out: Path, seed: int, seeds: int) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     thing = procedural_object(index, seed)
     path = out / f"{thing.name}.npz"
-    about = f"dgeval {__version__} jaw {VERSION} mujoco {mujoco.__version__} seed {seed} seeds {seeds}"
+    about = (
+        f"dgeval {__version__} jaw {VERSION} mujoco {mujoco.__version__} seed {seed} seeds {seeds}"
+    )
     if path.is_file() and str(np.load(path)["about"]) == about:
         return path
     scenes = scenes_of(thing, procedural_object(index + 1000, seed), seed, seeds)
@@ -139,7 +169,9 @@ def write_scenes(index: int, out: Path, seed: int, seeds: int) -> Path:
         "points": np.concatenate([s.points for s in scenes] or [np.empty((0, 3), np.float32)]),
         "grazing": np.concatenate([s.grazing for s in scenes] or [np.empty(0, bool)]),
         "table": np.concatenate([s.table for s in scenes] or [np.empty(0, bool)]),
-        "T_seed_grasp": np.array([s.T_seed_grasp for s in scenes], dtype=np.float32).reshape(-1, PER_SEED, 4, 4),
+        "T_seed_grasp": np.array([s.T_seed_grasp for s in scenes], dtype=np.float32).reshape(
+            -1, PER_SEED, 4, 4
+        ),
         "held": np.array([s.held for s in scenes], dtype=bool).reshape(-1, PER_SEED),
         "table_hit": np.array([s.table_hit for s in scenes], dtype=bool).reshape(-1, PER_SEED),
     }
@@ -155,6 +187,13 @@ def read_scenes(path: Path) -> list[Scene]:
         points, grazing, table = file["points"], file["grazing"], file["table"]
         poses, held, hit = file["T_seed_grasp"].astype(np.float64), file["held"], file["table_hit"]
     return [
-        Scene(points[c[i] : c[i + 1]], grazing[c[i] : c[i + 1]], table[c[i] : c[i + 1]], poses[i], held[i], hit[i])
+        Scene(
+            points[c[i] : c[i + 1]],
+            grazing[c[i] : c[i + 1]],
+            table[c[i] : c[i + 1]],
+            poses[i],
+            held[i],
+            hit[i],
+        )
         for i in range(len(held))
     ]

@@ -30,7 +30,10 @@ def optimise(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     parts: dict[str, Any] = {"network": network, "optimiser": optimiser, "schedule": schedule}
     start = 0
-    if checkpoint.is_file() and (saved := torch.load(checkpoint, weights_only=True))["about"] == about:
+    if (
+        checkpoint.is_file()
+        and (saved := torch.load(checkpoint, weights_only=True))["about"] == about
+    ):
         for name, part in parts.items():
             part.load_state_dict(saved[name])
         start = saved["step"]
@@ -45,7 +48,12 @@ def optimise(
         if (step + 1) % SAVE_EVERY == 0 or step + 1 == steps:
             part_file = checkpoint.with_suffix(".part")
             torch.save(
-                {**{name: part.state_dict() for name, part in parts.items()}, "about": about, "step": step + 1}, part_file
+                {
+                    **{name: part.state_dict() for name, part in parts.items()},
+                    "about": about,
+                    "step": step + 1,
+                },
+                part_file,
             )
             part_file.rename(checkpoint)
     network.eval()

@@ -43,16 +43,35 @@ def train_all(
 
     def trained(kind: Kind, data: list[ObjectData]) -> FFHGenerator | FFHEvaluator:
         learning = data[: -settings.held_out]
-        return train(kind, learning, settings, out / f"{kind}.ckpt", lambda step, terms: progress(kind, step, terms))
+        return train(
+            kind,
+            learning,
+            settings,
+            out / f"{kind}.ckpt",
+            lambda step, terms: progress(kind, step, terms),
+        )
 
     generator_file = out / "ffhnet_generator.safetensors"
-    export(trained("generator", load_objects(out / "grasps", settings, objects, settings.seed)), generator_file)
+    export(
+        trained("generator", load_objects(out / "grasps", settings, objects, settings.seed)),
+        generator_file,
+    )
     # the evaluators also learn from what this generator proposes: its mistakes are those that they will have to see
-    make = partial(write_grasps, out=out / "proposed", seed=settings.seed, tried=proposals, weights=generator_file)
+    make = partial(
+        write_grasps,
+        out=out / "proposed",
+        seed=settings.seed,
+        tried=proposals,
+        weights=generator_file,
+    )
     write_all(make, range(objects), jobs, lambda _: None)
     data = load_objects(out / "grasps", settings, objects, settings.seed, out / "proposed")
     learning, held_out = data[: -settings.held_out], data[-settings.held_out :]
-    metrics: dict[str, Any] = {"settings": asdict(settings), "data": _about(learning, held_out), "held_out": {}}
+    metrics: dict[str, Any] = {
+        "settings": asdict(settings),
+        "data": _about(learning, held_out),
+        "held_out": {},
+    }
     kinds: tuple[Kind, ...] = ("evaluator", "evaluator_fingers")
     for kind in kinds:
         network = trained(kind, data)
@@ -60,12 +79,27 @@ def train_all(
         # ... and from what it would choose itself, of its objects and of as many new ones
         chosen, first = out / f"chosen_by_{kind}", out / f"first_{kind}.safetensors"
         export(network, first)
-        make = partial(write_grasps, out=chosen, seed=settings.seed, tried=0, weights=generator_file, evaluator=first)
+        make = partial(
+            write_grasps,
+            out=chosen,
+            seed=settings.seed,
+            tried=0,
+            weights=generator_file,
+            evaluator=first,
+        )
         indices = [*range(len(learning)), *range(objects, objects + len(learning))]
         write_all(make, indices, jobs, lambda _: None)
-        with_own = load_objects(out / "grasps", settings, objects, settings.seed, out / "proposed", chosen)
+        with_own = load_objects(
+            out / "grasps", settings, objects, settings.seed, out / "proposed", chosen
+        )
         own = [o for o in with_own if len(o.rows["chosen_held"]) or len(o.rows["chosen_failed"])]
-        tune(network, own, settings, out / f"{kind}_tuned.ckpt", lambda step, terms: progress("tuning", step, terms))
+        tune(
+            network,
+            own,
+            settings,
+            out / f"{kind}_tuned.ckpt",
+            lambda step, terms: progress("tuning", step, terms),
+        )
         # one half of the held-out objects calibrates, the other measures
         networks = Networks(load_generator(generator_file), network, upright=True)
         unseen = range(objects - settings.held_out, objects)
@@ -86,7 +120,9 @@ def selected(networks: Networks, indices: Sequence[int], seed: int) -> tuple[Ten
     """
     bps, poses, joints, held = [], [], [], []
     for index in indices:
-        clouds, T, _, q, h = try_selected(procedural_object(index, seed), networks, seed, SELECTED_VIEWS)
+        clouds, T, _, q, h = try_selected(
+            procedural_object(index, seed), networks, seed, SELECTED_VIEWS
+        )
         bps += [c.bps[0] for c in clouds]
         T[:, :3, 3] -= np.array([c.mean for c in clouds])
         poses.append(T)
@@ -109,13 +145,25 @@ def scores_of(p: np.ndarray[Any, Any], held: np.ndarray[Any, Any]) -> dict[str, 
     n, m = int(held.sum()), int((~held).sum())
     auc = (ranks[held].sum() - n * (n + 1) / 2) / max(n * m, 1)
     cell = np.minimum((p * BINS).astype(int), BINS - 1)
-    gaps = [abs(p[cell == b].mean() - held[cell == b].mean()) * (cell == b).mean() for b in range(BINS) if (cell == b).any()]
-    return {"auc": float(auc), "brier": float(np.mean((p - held) ** 2)), "ece": float(sum(gaps)), "held": float(held.mean())}
+    gaps = [
+        abs(p[cell == b].mean() - held[cell == b].mean()) * (cell == b).mean()
+        for b in range(BINS)
+        if (cell == b).any()
+    ]
+    return {
+        "auc": float(auc),
+        "brier": float(np.mean((p - held) ** 2)),
+        "ece": float(sum(gaps)),
+        "held": float(held.mean()),
+    }
 
 
 def _about(learning: list[ObjectData], held_out: list[ObjectData]) -> dict[str, Any]:
     return {
-        name: {kind: sum(len(o.rows[kind]) for o in objects) for kind in ("held", "failed", "overlapping")}
+        name: {
+            kind: sum(len(o.rows[kind]) for o in objects)
+            for kind in ("held", "failed", "overlapping")
+        }
         | {"objects": [o.name for o in objects]}
         for name, objects in (("training", learning), ("held_out", held_out))
     }

@@ -30,7 +30,9 @@ from dgeval.worlds.objects import procedural_object
 
 NOISE, GRAZING_DROP = 0.002, 0.7  # m on each axis; probability (VFAS section III-B)
 FLOATING = 0.3  # share of scenes shown without their table, as in a handover (ours)
-MIRRORS = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]], dtype=np.float32)  # the gripper looks the same in each
+MIRRORS = np.array(
+    [[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]], dtype=np.float32
+)  # the gripper looks the same in each
 
 
 @dataclass(frozen=True)
@@ -55,20 +57,26 @@ def load_scenes(folder: Path, objects: int, seed: int) -> list[list[Scene]]:
     return out
 
 
-def example(scene: Scene, row: int, floating: bool, rng: np.random.Generator) -> NDArray[np.float32] | None:
+def example(
+    scene: Scene, row: int, floating: bool, rng: np.random.Generator
+) -> NDArray[np.float32] | None:
     """Cropped, augmented points (n, 3) of one pose; None where too few are near."""
     kept = ~scene.grazing | (rng.random(len(scene.grazing)) > GRAZING_DROP)
     if floating:
         kept &= ~scene.table
     points: Array = rng.permutation(scene.points[kept]).astype(np.float64)
-    cropped, counts = crop(points, invert(scene.T_seed_grasp[row])[None], CROP_LOW, CROP_HIGH, VFAS.scene)
+    cropped, counts = crop(
+        points, invert(scene.T_seed_grasp[row])[None], CROP_LOW, CROP_HIGH, VFAS.scene
+    )
     if counts[0] < LEAST_POINTS:
         return None
     noisy = cropped[0] + rng.normal(0, NOISE, cropped[0].shape).astype(np.float32)
     return np.asarray(noisy * MIRRORS[rng.integers(4)])
 
 
-def batch_of(scenes: list[Scene], settings: Settings, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+def batch_of(
+    scenes: list[Scene], settings: Settings, rng: np.random.Generator
+) -> tuple[Tensor, Tensor]:
     """Points (batch, n, 3) and whether each held (batch,)."""
     points: list[NDArray[np.float32]] = []
     held: list[bool] = []
@@ -83,16 +91,23 @@ def batch_of(scenes: list[Scene], settings: Settings, rng: np.random.Generator) 
         if found is not None:
             points.append(found)
             held.append(wanted)
-    return torch.from_numpy(np.array(points, dtype=np.float32)), torch.tensor(held, dtype=torch.float32)
+    return torch.from_numpy(np.array(points, dtype=np.float32)), torch.tensor(
+        held, dtype=torch.float32
+    )
 
 
 def train(
-    scenes: list[Scene], settings: Settings, checkpoint: Path, progress: Callable[[int, dict[str, float]], None]
+    scenes: list[Scene],
+    settings: Settings,
+    checkpoint: Path,
+    progress: Callable[[int, dict[str, float]], None],
 ) -> GraspEvaluator:
     """The evaluator trained on scenes; resumes from the checkpoint of the same settings."""
     torch.manual_seed(settings.seed)
     network = GraspEvaluator(VFAS)
-    gripper = torch.from_numpy(link_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32))[None]
+    gripper = torch.from_numpy(
+        link_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
+    )[None]
 
     def loss_of(step: int) -> tuple[Tensor, dict[str, float]]:
         points, held = batch_of(scenes, settings, generator(settings.seed, "train/vfas", step))
@@ -102,13 +117,23 @@ def train(
         return loss, {"BCE": float(loss.detach()), "right": right}
 
     rates = settings.learning_rate, settings.weight_decay
-    optimise(network, loss_of, settings.steps, rates, {"kind": "vfas", **asdict(settings)}, checkpoint, progress)
+    optimise(
+        network,
+        loss_of,
+        settings.steps,
+        rates,
+        {"kind": "vfas", **asdict(settings)},
+        checkpoint,
+        progress,
+    )
     return network
 
 
 def measure(network: GraspEvaluator, scenes: list[Scene], n: int, seed: int) -> dict[str, float]:
     """ROC-AUC, Brier, calibration error over n random poses of scenes, as they are drawn."""
-    gripper = torch.from_numpy(link_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32))[None]
+    gripper = torch.from_numpy(
+        link_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
+    )[None]
     points: list[NDArray[np.float32]] = []
     held: list[bool] = []
     rng = generator(seed, "measure/vfas", 0)
@@ -124,7 +149,12 @@ def measure(network: GraspEvaluator, scenes: list[Scene], n: int, seed: int) -> 
 
 
 def train_all(
-    out: Path, objects: int, settings: Settings, seeds: int, jobs: int, progress: Callable[[str, int, dict[str, float]], None]
+    out: Path,
+    objects: int,
+    settings: Settings,
+    seeds: int,
+    jobs: int,
+    progress: Callable[[str, int, dict[str, float]], None],
 ) -> dict[str, Any]:
     """Scenes in OUT/scenes, training, OUT/vfas_evaluator.safetensors and OUT/metrics.json. progress(phase, step, terms)."""
     limit_threads()
@@ -133,13 +163,22 @@ def train_all(
     write_all(make, range(objects), jobs, lambda _: progress("scenes", next(made), {}))
     data = load_scenes(out / "scenes", objects, settings.seed)
     learning, unseen = (
-        [s for thing in part for s in thing] for part in (data[: -settings.held_out], data[-settings.held_out :])
+        [s for thing in part for s in thing]
+        for part in (data[: -settings.held_out], data[-settings.held_out :])
     )
-    network = train(learning, settings, out / "vfas_evaluator.ckpt", lambda step, terms: progress("evaluator", step, terms))
+    network = train(
+        learning,
+        settings,
+        out / "vfas_evaluator.ckpt",
+        lambda step, terms: progress("evaluator", step, terms),
+    )
     save_evaluator(network, out / "vfas_evaluator.safetensors")
     metrics = {
         "settings": asdict(settings),
-        "poses": {"training": sum(len(s.held) for s in learning), "held_out": sum(len(s.held) for s in unseen)},
+        "poses": {
+            "training": sum(len(s.held) for s in learning),
+            "held_out": sum(len(s.held) for s in unseen),
+        },
         "held_out": {"vfas_evaluator": measure(network, unseen, 1500, settings.seed)},
     }
     (out / "metrics.json").write_text(json.dumps(metrics, indent=1), encoding="utf-8")

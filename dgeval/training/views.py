@@ -44,15 +44,21 @@ def cloud_of(surface: Array, fused: bool, rng: np.random.Generator) -> tuple[Arr
     """
     tilt, heading = MOST_TILT * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi)
     T_cloud_object = np.eye(4)
-    T_cloud_object[:3, :3] = camera_at(MOST_TILT * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi), rng)[:3, :3]
+    T_cloud_object[:3, :3] = camera_at(
+        MOST_TILT * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi), rng
+    )[:3, :3]
     T = camera_at(tilt, heading, rng)
     clouds = [transform(T_cloud_object @ invert(T), seen_from(surface, T, rng)[1])]
     if fused:
         for _ in range(int(rng.integers(1, 8))):
             # from elsewhere, registered with an error of a millimetre or two
             other = camera_at(tilt * rng.random(), heading + rng.normal(0, 0.4), rng)
-            error = increment(np.concatenate([rng.normal(0, 0.0015, 3), rng.normal(0, np.radians(1), 3)]))
-            clouds.append(transform(T_cloud_object @ error @ invert(other), seen_from(surface, other, rng)[1]))
+            error = increment(
+                np.concatenate([rng.normal(0, 0.0015, 3), rng.normal(0, np.radians(1), 3)])
+            )
+            clouds.append(
+                transform(T_cloud_object @ error @ invert(other), seen_from(surface, other, rng)[1])
+            )
     cloud = np.concatenate(clouds)
     return cloud[rng.permutation(len(cloud))[:POINTS]], T_cloud_object
 
@@ -62,7 +68,9 @@ def views_of(thing: ObjectModel, n: int, n_bps: int, seed: int) -> list[View]:
     surface = surface_points(thing, 12_000, generator(seed, f"surface/{thing.name}", 0))
     out = []
     for k in range(n):
-        cloud, T_cloud_object = cloud_of(surface, k % 2 == 1, generator(seed, f"view/{thing.name}", k))
+        cloud, T_cloud_object = cloud_of(
+            surface, k % 2 == 1, generator(seed, f"view/{thing.name}", k)
+        )
         mean = cloud.mean(axis=0)
         T_view_object = T_cloud_object.copy()
         T_view_object[:3, 3] -= mean

@@ -21,11 +21,21 @@ from dgeval.recording.trials import GRASP_TOPIC, Trial
 TARGET_TOPIC, VELOCITY_TOPIC = "/dgeval/belief/target_pose", "/dgeval/belief/velocity"
 COMMAND_TOPIC = "/dgeval/belief/twist_command"
 MASK_TOPIC, MODEL_TOPIC = "/dgeval/belief/mask", "/dgeval/belief/model"
-DRIFT_NS, LEAST_SIGHTINGS = 1_000_000_000, 5  # before its last sighting, and how many in it, whose errors tell a drift
+DRIFT_NS, LEAST_SIGHTINGS = (
+    1_000_000_000,
+    5,
+)  # before its last sighting, and how many in it, whose errors tell a drift
 SEEN_NS = 50_000_000  # from a time to the sighting that tells where a pushed object was
-BEFORE_PUSH_NS, STEADY_NS = 300_000_000, 500_000_000  # a push is told late; over which a believed velocity is taken
+BEFORE_PUSH_NS, STEADY_NS = (
+    300_000_000,
+    500_000_000,
+)  # a push is told late; over which a believed velocity is taken
 GAIN_LEAST_M = 0.01  # root mean square way, level and upright, over which gains can be told
-MOST_POINTS, ROUNDS, KEPT = 600, 60, 0.8  # of laying hindsight's surface on the robot's model: its trimmed share is used
+MOST_POINTS, ROUNDS, KEPT = (
+    600,
+    60,
+    0.8,
+)  # of laying hindsight's surface on the robot's model: its trimmed share is used
 
 
 @dataclass(frozen=True)
@@ -55,7 +65,10 @@ def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | str:
     at_ns = _nearest_ns(trial, grasps) if close_ns is None else close_ns
     if at_ns is None:
         return "beliefs not recorded"
-    grasps, targets = [p for p in grasps if p.t_ns <= at_ns], [p for p in targets if p.t_ns <= at_ns]
+    grasps, targets = (
+        [p for p in grasps if p.t_ns <= at_ns],
+        [p for p in targets if p.t_ns <= at_ns],
+    )
     palm = trial.robot.T_base_palm(at_ns)
     if palm is None or not grasps or len(targets) < 2:
         return "beliefs not recorded"
@@ -63,21 +76,42 @@ def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | str:
     # the grasp was last recorded with a frame; it has moved on with the object since, as the robot believed
     velocity = velocities[-1] if velocities else np.zeros(3)
     grasp = matrix_from_pose(grasps[-1].pose)[:3, 3] + velocity * (at_ns - grasps[-1].t_ns) * 1e-9
-    masks = trial.scan.times[MASK_TOPIC].arrays()[0] if MASK_TOPIC in trial.scan.times else np.zeros(0, dtype=np.int64)
+    masks = (
+        trial.scan.times[MASK_TOPIC].arrays()[0]
+        if MASK_TOPIC in trial.scan.times
+        else np.zeros(0, dtype=np.int64)
+    )
     # what it saw itself; between and after it there are predictions
-    own = [p for p in targets if not len(masks) or np.abs(masks - p.t_ns).min() <= 1_000_000] or targets
+    own = [
+        p for p in targets if not len(masks) or np.abs(masks - p.t_ns).min() <= 1_000_000
+    ] or targets
     tracking = _tracking(trial, targets[0], own[-1], hindsight)
     if tracking is None:
         return "where camera and object were when the robot last saw the object is not known"
     errors = {"servo": palm[:3, 3] - grasp, "tracking": tracking}
     # what is pushed moves otherwise than before, and the belief follows it
-    free_ns = min([at_ns, *(t - BEFORE_PUSH_NS for t in (hindsight.contact_ns, hindsight.pushed_ns) if t is not None)])
-    free = velocities[-1:] if close_ns is not None else steady(trial.scan.twists.get(VELOCITY_TOPIC, []), free_ns)
+    free_ns = min(
+        [
+            at_ns,
+            *(
+                t - BEFORE_PUSH_NS
+                for t in (hindsight.contact_ns, hindsight.pushed_ns)
+                if t is not None
+            ),
+        ]
+    )
+    free = (
+        velocities[-1:]
+        if close_ns is not None
+        else steady(trial.scan.twists.get(VELOCITY_TOPIC, []), free_ns)
+    )
     if free:
         wrong = free[-1] - hindsight.path.velocity[-1]
         gain = None if close_ns is not None else trial.config.servo.c_p_v
         recent = [p for p in own if own[-1].t_ns - p.t_ns <= DRIFT_NS]
-        errors |= carried(tracking, _drift(trial, recent, hindsight), wrong, (at_ns - own[-1].t_ns) * 1e-9, gain)
+        errors |= carried(
+            tracking, _drift(trial, recent, hindsight), wrong, (at_ns - own[-1].t_ns) * 1e-9, gain
+        )
     end_ns = trial.pairs[-1][0] if close_ns is None else close_ns
     return Beliefs(errors, _goal(grasps, hindsight, end_ns), _gains(trial, grasps, free_ns))
 
@@ -85,7 +119,9 @@ def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | str:
 def steady(twists: list[tuple[int, Array]], until_ns: int) -> list[Array]:
     """The median velocity (3,) m/s over STEADY_NS up to a time; empty where the filter had not gone on for as long before."""
     recent = [v[:3] for t, v in twists if until_ns - STEADY_NS <= t <= until_ns]
-    return [np.median(recent, axis=0)] if recent and twists[0][0] <= until_ns - 2 * STEADY_NS else []
+    return (
+        [np.median(recent, axis=0)] if recent and twists[0][0] <= until_ns - 2 * STEADY_NS else []
+    )
 
 
 def gains_of(apart: list[Array], speeds: list[Array]) -> tuple[float, float] | None:
@@ -100,12 +136,18 @@ def gains_of(apart: list[Array], speeds: list[Array]) -> tuple[float, float] | N
 
 
 def _gains(trial: Trial, grasps: list[StampedPose], until_ns: int) -> tuple[float, float] | None:
-    commands, velocities = (trial.scan.twists.get(topic, []) for topic in (COMMAND_TOPIC, VELOCITY_TOPIC))
-    commanded_ns, believed_ns = (np.array([t for t, _ in some], dtype=np.int64) for some in (commands, velocities))
+    commands, velocities = (
+        trial.scan.twists.get(topic, []) for topic in (COMMAND_TOPIC, VELOCITY_TOPIC)
+    )
+    commanded_ns, believed_ns = (
+        np.array([t for t, _ in some], dtype=np.int64) for some in (commands, velocities)
+    )
     apart, speeds = [], []
     for p in grasps:
         palm = trial.robot.T_base_palm(p.t_ns)
-        k, n = (int(np.searchsorted(t, p.t_ns, side="right")) - 1 for t in (commanded_ns, believed_ns))
+        k, n = (
+            int(np.searchsorted(t, p.t_ns, side="right")) - 1 for t in (commanded_ns, believed_ns)
+        )
         if p.t_ns <= until_ns and palm is not None and k >= 0 and n >= 0:
             apart.append(p.pose[:3] - palm[:3, 3])
             speeds.append(commands[k][1][:3] - velocities[n][1][:3])
@@ -131,14 +173,19 @@ def growth(t_ns: list[int], errors: list[Array]) -> Array:
     return np.asarray(t @ np.array(errors) / (t @ t))
 
 
-def carried(tracking: Array, drift: Array, wrong: Array, seconds: float, gain: float | None) -> dict[str, Array]:
+def carried(
+    tracking: Array, drift: Array, wrong: Array, seconds: float, gain: float | None
+) -> dict[str, Array]:
     """Errors of tracking and velocity at the end, from that of tracking at the last sighting, `seconds` before.
 
     drift m/s: how fast that grew; what the belief in the velocity is wrong by because of it is tracking's. wrong m/s: the
     believed velocity less the true one. gain 1/s: of the servo, where the hand never closed: it runs ahead of a grasp, or
     behind it, by the velocity's error over its gain.
     """
-    return {"tracking": tracking + drift * seconds, "velocity": (wrong - drift) * (seconds if gain is None else 1.0 / gain)}
+    return {
+        "tracking": tracking + drift * seconds,
+        "velocity": (wrong - drift) * (seconds if gain is None else 1.0 / gain),
+    }
 
 
 def _there(hindsight: Hindsight, t_ns: int) -> Array | None:
@@ -161,7 +208,9 @@ def _drift(trial: Trial, own: list[StampedPose], hindsight: Hindsight) -> Array:
     """How fast the robot's pose of the object left hindsight's over its sightings, m/s (3,)."""
     centre = hindsight.path.centroid[None]
     times, errors = [], []
-    T_own_model: Array | None = None  # in the robot's model, by the first of them: only the growth counts
+    T_own_model: Array | None = (
+        None  # in the robot's model, by the first of them: only the growth counts
+    )
     for p in own:
         T_camera, there = trial.robot.T_base_camera(p.t_ns), _there(hindsight, p.t_ns)
         if T_camera is None or there is None:
@@ -174,7 +223,9 @@ def _drift(trial: Trial, own: list[StampedPose], hindsight: Hindsight) -> Array:
     return growth(times, errors)
 
 
-def _tracking(trial: Trial, first: StampedPose, last: StampedPose, hindsight: Hindsight) -> Array | None:
+def _tracking(
+    trial: Trial, first: StampedPose, last: StampedPose, hindsight: Hindsight
+) -> Array | None:
     """Believed minus hindsight place of the object at the robot's last own sighting, m (3,), base frame.
 
     The robot's model frame is its own: its recorded model says where in it the object lies. Without one its first belief is
@@ -189,7 +240,9 @@ def _tracking(trial: Trial, first: StampedPose, last: StampedPose, hindsight: Hi
     model = _own_model(trial, last.t_ns)
     if model is None:
         T_own_model = invert(T_first @ matrix_from_pose(first.pose)) @ hindsight.path.at(first.t_ns)
-        return np.asarray(transform(T_base_own @ T_own_model, centre)[0] - transform(there, centre)[0])
+        return np.asarray(
+            transform(T_base_own @ T_own_model, centre)[0] - transform(there, centre)[0]
+        )
     seen = transform(there, hindsight.points)
     middle = transform(there, centre)
     return np.asarray(transform(laid_on(seen, transform(T_base_own, model)), middle)[0] - middle[0])

@@ -19,9 +19,13 @@ from dgeval.verdict.twin import Sample
 
 ENOUGH = 0.5  # weighted share of the draws in which it must restore success
 TOLERANCE_M = 0.007  # five of six grasps survive 4 mm and 3 degrees, and hindsight is off by 2 to 4: less put nothing wrong
-NEVER_CLOSED_M = 0.012  # likewise of a hand that never closed, where nothing is tried again without it
+NEVER_CLOSED_M = (
+    0.012  # likewise of a hand that never closed, where nothing is tried again without it
+)
 GAIN_LEAST, GAINS_APART = 0.15, 1.6  # 1/s; upright over level, or the other way round
-HUGE = 5.0  # times the tolerance; of a part that is to blame though the twin does not hold without it
+HUGE = (
+    5.0  # times the tolerance; of a part that is to blame though the twin does not hold without it
+)
 ALONE = 0.7  # stated where a part is blamed because it alone is off; chosen on development trials
 
 
@@ -46,7 +50,13 @@ def blame_of(cause: Cause, beliefs: Beliefs | str) -> Blame:
     if cause.failure_class == "collision":
         if _wrong_law(beliefs):
             return Blame("servo", ALONE, sizes, "recorded")
-        return Blame("unknown", 0.0, sizes, "recorded", "the object was pushed, and the robot believed what was pushed")
+        return Blame(
+            "unknown",
+            0.0,
+            sizes,
+            "recorded",
+            "the object was pushed, and the robot believed what was pushed",
+        )
     asked = [s for s in cause.samples if s.verdict.failure_class == cause.failure_class]
     if not asked[0].facts.closed:
         return _never_closed(beliefs, sizes, asked)
@@ -56,20 +66,38 @@ def blame_of(cause: Cause, beliefs: Beliefs | str) -> Blame:
         # a hand that closes before it is there is off its grasp because of that
         large = [k for k in large if k != "servo"]
     restoring = [k for k in large if shares[k] > ENOUGH]
-    huge = [k for k in large[:1] if sizes[k] > HUGE * TOLERANCE_M and all(sizes[k] > 2.0 * sizes[n] for n in large[1:])]
+    huge = [
+        k
+        for k in large[:1]
+        if sizes[k] > HUGE * TOLERANCE_M and all(sizes[k] > 2.0 * sizes[n] for n in large[1:])
+    ]
     if _wrong_law(beliefs) and not huge and all(sizes[k] < 2 * TOLERANCE_M for k in restoring):
         return Blame("servo", ALONE, sizes, "recorded")
     # where only all together restore success and one of them is far larger than the rest, it is that one
-    for parts, clearly, share in ((restoring, 1.5, shares), (large if shares["all"] > ENOUGH else [], 2.0, {})):
+    for parts, clearly, share in (
+        (restoring, 1.5, shares),
+        (large if shares["all"] > ENOUGH else [], 2.0, {}),
+    ):
         if len(parts) == 1 or (parts and sizes[parts[0]] > clearly * sizes[parts[1]]):
             return Blame(parts[0], share.get(parts[0], shares["all"]), sizes, "recorded")
     if restoring:
-        return Blame("unknown", 0.0, sizes, "recorded", f"removing any of {', '.join(sorted(restoring))} alone would do")
+        return Blame(
+            "unknown",
+            0.0,
+            sizes,
+            "recorded",
+            f"removing any of {', '.join(sorted(restoring))} alone would do",
+        )
     if huge:
         # by so much the approach can't be displaced and still be like the recorded one
         return Blame(huge[0], ALONE, sizes, "recorded")
     if cause.failure_class == "timing":
-        return Blame("execution", max(cause.probabilities), {"execution": abs(cause.shift_s or 0.0)}, "recorded")
+        return Blame(
+            "execution",
+            max(cause.probabilities),
+            {"execution": abs(cause.shift_s or 0.0)},
+            "recorded",
+        )
     if large:
         why = f"no part alone explains it, the largest is {large[0]} with {sizes[large[0]] * 1000:.0f} mm"
         return Blame("unknown", 0.0, sizes, "recorded", why)

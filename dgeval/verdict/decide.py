@@ -12,7 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgeval.determinism import generator
-from dgeval.failure_rule import HANDED_OVER, Facts, FailureClass, Needs, SubCause, Thresholds, Verdict, classify
+from dgeval.failure_rule import (
+    HANDED_OVER,
+    Facts,
+    FailureClass,
+    Needs,
+    SubCause,
+    Thresholds,
+    Verdict,
+    classify,
+)
 from dgeval.geometry import Array, rotation_angle
 from dgeval.verdict.evidence import Scene
 from dgeval.verdict.twin import Sample, Twin
@@ -31,7 +40,10 @@ TRUSTED = 0.05  # share of draws in which the recorded failure happens, below wh
 RARELY = 0.25  # likewise for a collision: an object displaced until the grasp fails is easily one that the hand hits
 SD_LEAST_M, SD_LEAST_DEG = 0.0015, 1.0  # nothing is known better than that
 SD_MOST_M, SD_MOST_DEG = 0.006, 5.0
-SD_FRICTION, SD_MASS = 0.15, 0.7  # of logarithms; a log does not weigh: household things have 70 to 900 kg/m^3
+SD_FRICTION, SD_MASS = (
+    0.15,
+    0.7,
+)  # of logarithms; a log does not weigh: household things have 70 to 900 kg/m^3
 REACH_M = 0.035  # geometry: object's middle from the hand's grasp centre
 NEAR_M = 0.15  # geometry: farther than this from its grasp centre a hand pushes nothing
 BLIND_SD_M = 0.025  # with the place less certain than this nothing can be said
@@ -58,20 +70,27 @@ def cause_of(scene: Scene, method: str, draws: int, seed: int, least: float) -> 
         why = f"the object's place at the close is uncertain by {scene.sd_m * 1000:.0f} mm"
         return Cause("unknown", (0.0, 0.0, 0.0, 1.0), None, None, (), 0.0, method, why)
     geometry = method == "geometry"
-    samples, reproduced = ([_geometry(scene, thresholds)], 1.0) if geometry else _twins(scene, draws, seed, thresholds)
+    samples, reproduced = (
+        ([_geometry(scene, thresholds)], 1.0)
+        if geometry
+        else _twins(scene, draws, seed, thresholds)
+    )
     weights = np.array([s.weight for s in samples])
-    votes = [float(weights[[s.verdict.failure_class == c for s in samples]].sum()) + PRIOR for c in CLASSES]
+    votes = [
+        float(weights[[s.verdict.failure_class == c for s in samples]].sum()) + PRIOR
+        for c in CLASSES
+    ]
     p = np.array(votes) / sum(votes)
     best = int(np.argmax(p))
     chosen = [s for s in samples if s.verdict.failure_class == CLASSES[best]]
     lead = max(chosen, key=lambda s: s.reproduced)
     doubt = None
     if reproduced < TRUSTED:
-        doubt = f"the recorded failure happens in only {reproduced:.0%} of the draws of the {method}"
-    elif CLASSES[best] == "collision" and reproduced < RARELY:
         doubt = (
-            f"the hand hits the object in the {reproduced:.0%} of the draws that end as recorded, and in the others all is well"
+            f"the recorded failure happens in only {reproduced:.0%} of the draws of the {method}"
         )
+    elif CLASSES[best] == "collision" and reproduced < RARELY:
+        doubt = f"the hand hits the object in the {reproduced:.0%} of the draws that end as recorded, and in the others all is well"
     elif p[best] < least:
         doubt = f"{CLASSES[best]} is only {p[best]:.0%} likely over {len(samples)} draws of the object's place"
     if doubt is not None:
@@ -81,10 +100,14 @@ def cause_of(scene: Scene, method: str, draws: int, seed: int, least: float) -> 
     shifts = [v.shift_s for v in alike if v.shift_s is not None]
     shift = float(np.median(shifts)) if shifts else None
     chances = (float(p[0]), float(p[1]), float(p[2]), 0.0)
-    return Cause(CLASSES[best], chances, lead.verdict.sub_cause, shift, tuple(samples), reproduced, method)
+    return Cause(
+        CLASSES[best], chances, lead.verdict.sub_cause, shift, tuple(samples), reproduced, method
+    )
 
 
-def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> tuple[list[Sample], float]:
+def _twins(
+    scene: Scene, draws: int, seed: int, thresholds: Thresholds
+) -> tuple[list[Sample], float]:
     """What the draws say that agree best with the log, and the share of all in which the recorded failure happens.
 
     That it failed is known, and so is how far each finger came when the hand closed: a draw in which it would have held, or
@@ -96,17 +119,27 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> tuple
     sd_turn = np.radians(float(np.clip(scene.sd_deg, SD_LEAST_DEG, SD_MOST_DEG)))
     probes: list[tuple[Twin, bool]] = []
     weights = np.zeros(0)
-    while len(probes) < PROBES or (weights.sum() / weights.max() < draws and len(probes) < PROBES_MOST):
+    while len(probes) < PROBES or (
+        weights.sum() / weights.max() < draws and len(probes) < PROBES_MOST
+    ):
         k = len(probes)
         rng = generator(seed, "verdict", k)
         wider = 1.0 if k < PROBES // 2 else 2.0
         dx, dy = rng.normal(0, wider * sd_m, 2)
-        turn, friction, mass = rng.normal(0, wider * sd_turn), *np.exp(rng.normal(0, [SD_FRICTION, SD_MASS]))
+        turn, friction, mass = (
+            rng.normal(0, wider * sd_turn),
+            *np.exp(rng.normal(0, [SD_FRICTION, SD_MASS])),
+        )
         if k == 0:  # the first draw is the best guess
             dx, dy, turn, friction, mass = 0.0, 0.0, 0.0, 1.0, 1.0
         twin = Twin(scene, solid, (float(dx), float(dy), float(turn)), float(friction), float(mass))
         probes.append((twin, twin.approach()))
-        off = np.array([[t.mismatch / MISMATCH_SD[scene.gripper.name], t.strayed / STRAYED_SD] for t, _ in probes])
+        off = np.array(
+            [
+                [t.mismatch / MISMATCH_SD[scene.gripper.name], t.strayed / STRAYED_SD]
+                for t, _ in probes
+            ]
+        )
         fit = np.exp(-0.5 * ((off - off.min(axis=0)) ** 2).sum(axis=1))
         weights = fit * [1.0 if reproduced else NOT_REPRODUCED for _, reproduced in probes]
     samples: list[Sample] = []
@@ -133,12 +166,19 @@ def _geometry(scene: Scene, thresholds: Thresholds) -> Sample:
             last = scene.seen[k]
             real_now = last[:3, :3] @ centre + last[:3, 3]
             if np.linalg.norm(places[k] - real_now) < NEAR_M:
-                off[k] = np.linalg.norm(real_now - free[k]), np.degrees(rotation_angle(last[:3, :3]))
+                off[k] = (
+                    np.linalg.norm(real_now - free[k]),
+                    np.degrees(rotation_angle(last[:3, :3])),
+                )
             held = real_now - free[k]
         real[k] = free[k] + (held if last is not None else 0.0)
     works = np.linalg.norm(places - real, axis=1) < REACH_M
     velocity = (places[end] - places[max(end - 5, 0)]) / (5 * CONTROL_S)
-    curve = [((k - end) * CONTROL_S, bool(works[k])) for k in range(end % 3, end + 1, 3) if k != end or scene.close is None]
+    curve = [
+        ((k - end) * CONTROL_S, bool(works[k]))
+        for k in range(end % 3, end + 1, 3)
+        if k != end or scene.close is None
+    ]
     if scene.close is not None:
         curve.append((0.0, False))
         for k in range(3, round(AFTER_CLOSE_S / CONTROL_S) + 1, 3):

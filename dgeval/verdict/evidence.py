@@ -20,10 +20,15 @@ PERIOD_NS = round(CONTROL_S * 1e9)
 APPROACH_S = 12.0  # before the close, as much of the approach as is looked at
 MIN_REGISTERED = 5  # frames; its shape and path are guesses with fewer
 HELD_ABOVE_M = 0.03  # of the lowest point over the support: what is higher does not stand on it
-COMMAND_AGE_NS, MEASURED_TICKS = 50_000_000, 5  # of a command that still holds; of the hand's motion without commands
+COMMAND_AGE_NS, MEASURED_TICKS = (
+    50_000_000,
+    5,
+)  # of a command that still holds; of the hand's motion without commands
 RISES_M = 0.007  # a trembling hand moves by 10 mm and more; registration wobbles by 1 to 3 mm
 NO_SUPPORT_M = 0.25  # from the lowest point down to where a support is put when none was seen
-CLOSING = round((CLOSE_S + SETTLE_S) / CONTROL_S)  # ticks after the close in which the fingers tell what they meet
+CLOSING = round(
+    (CLOSE_S + SETTLE_S) / CONTROL_S
+)  # ticks after the close in which the fingers tell what they meet
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,10 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
     if hindsight.n_registered < MIN_REGISTERED:
         return f"the object was registered in only {hindsight.n_registered} frames before the close"
     root = mounts[gripper.drives[0]]
-    track = JointTrack.of(trial.scan.joints.get(trial.roles.hand_joints or "", []), trial.config.clock.hand_joints.offset_ns)
+    track = JointTrack.of(
+        trial.scan.joints.get(trial.roles.hand_joints or "", []),
+        trial.config.clock.hand_joints.offset_ns,
+    )
     end_ns = close_ns if close_ns is not None else trial.pairs[-1][0]
     start_ns = max(trial.pairs[0][0], end_ns - round(APPROACH_S * 1e9))
     count = (end_ns - start_ns) // PERIOD_NS
@@ -106,7 +114,10 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
     hands, fingers, velocities = [], [], []
     for t_ns in times.tolist():
         T = trial.robot.tree.lookup(base, root, t_ns)
-        q = [track.at(name, t_ns, round(trial.config.sync.max_pose_gap_s * 1e9)) for name in gripper.drives]
+        q = [
+            track.at(name, t_ns, round(trial.config.sync.max_pose_gap_s * 1e9))
+            for name in gripper.drives
+        ]
         if T is None or any(v is None for v in q):
             if kept:
                 return f"the hand's pose is not known at {(t_ns - end_ns) * 1e-9:.2f} s before the end of the approach"
@@ -118,7 +129,9 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         velocities.append(T_support_base[:3, :3] @ believed[k][1][:3] if k >= 0 else free)
     if len(kept) < 20:
         return "less than 0.2 s of the approach has a known hand pose"
-    centres = np.array([transform(hindsight.path.at(t), hindsight.path.centroid[None])[0] for t in kept])
+    centres = np.array(
+        [transform(hindsight.path.at(t), hindsight.path.centroid[None])[0] for t in kept]
+    )
     nearest = -1
     if close_ns is None:
         # without a close, what counts is how well its place was known when the hand was at it, not at the log's end
@@ -129,7 +142,10 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
     closing: list[list[float | None]] = []
     while close_ns is not None and len(closing) < CLOSING:
         t_ns = end_ns + (len(closing) + 1) * PERIOD_NS
-        row = [track.at(name, t_ns, round(trial.config.sync.max_pose_gap_s * 1e9)) for name in gripper.drives]
+        row = [
+            track.at(name, t_ns, round(trial.config.sync.max_pose_gap_s * 1e9))
+            for name in gripper.drives
+        ]
         if any(v is None for v in row):
             break
         closing.append(row)
@@ -163,12 +179,21 @@ def _rises(hindsight: Hindsight, T_support_base: Array, end_ns: int) -> bool:
     until = end_ns if hindsight.pushed_ns is None else min(hindsight.pushed_ns, end_ns)
     seen = [s for s in hindsight.sightings if s.t_ns <= until and s.by == "registration"]
     heights = [transform(T_support_base @ s.T_base_model, centre)[0, 2] for s in seen]
-    return len(seen) >= MIN_REGISTERED and float(np.subtract(*np.quantile(heights, [0.95, 0.05]))) > RISES_M
+    return (
+        len(seen) >= MIN_REGISTERED
+        and float(np.subtract(*np.quantile(heights, [0.95, 0.05]))) > RISES_M
+    )
 
 
-def _going(trial: Trial, gripper: Gripper, hands: Array, T_support_base: Array, end_ns: int) -> Array:
+def _going(
+    trial: Trial, gripper: Gripper, hands: Array, T_support_base: Array, end_ns: int
+) -> Array:
     """Twist (6,) of the hand's frame at the end of the approach, support axes."""
-    commands = [v for t, v in trial.scan.twists.get(COMMAND_TOPIC, []) if end_ns - COMMAND_AGE_NS <= t <= end_ns]
+    commands = [
+        v
+        for t, v in trial.scan.twists.get(COMMAND_TOPIC, [])
+        if end_ns - COMMAND_AGE_NS <= t <= end_ns
+    ]
     if not commands:
         ticks = min(MEASURED_TICKS, len(hands) - 1)
         before, last = hands[-1 - ticks], hands[-1]
@@ -176,7 +201,9 @@ def _going(trial: Trial, gripper: Gripper, hands: Array, T_support_base: Array, 
         turn = rotation_vector(last[:3, :3] @ before[:3, :3].T)
         return np.concatenate([last[:3, 3] - before[:3, 3], turn]) / dt
     R = T_support_base[:3, :3]
-    return of_hand(np.concatenate([R @ commands[-1][:3], R @ commands[-1][3:]]), hands[-1], gripper.T_hand_palm)
+    return of_hand(
+        np.concatenate([R @ commands[-1][:3], R @ commands[-1][3:]]), hands[-1], gripper.T_hand_palm
+    )
 
 
 def of_hand(twist: Array, T_hand: Array, T_hand_palm: Array) -> Array:
@@ -207,17 +234,22 @@ def _support_frame(hindsight: Hindsight, t_ns: int) -> Array:
     return T
 
 
-def _seen(hindsight: Hindsight, T_support_base: Array, t_ns: NDArray[np.int64], end_ns: int) -> Array:
+def _seen(
+    hindsight: Hindsight, T_support_base: Array, t_ns: NDArray[np.int64], end_ns: int
+) -> Array:
     """Sightings at the ticks nearest to them, smoothed over three so that a single wrong one says nothing."""
     out = np.full((len(t_ns), 4, 4), np.nan)
     T_reference = T_support_base @ hindsight.path.at(end_ns)
     at = [s for s in hindsight.sightings if t_ns[0] <= s.t_ns <= t_ns[-1]]
     for before, s, after in zip([at[0], *at], at, [*at[1:], at[-1]], strict=False) if at else []:
         places = [
-            transform(x.T_base_model @ invert(hindsight.path.at(x.t_ns)), np.zeros((1, 3)))[0] for x in (before, s, after)
+            transform(x.T_base_model @ invert(hindsight.path.at(x.t_ns)), np.zeros((1, 3)))[0]
+            for x in (before, s, after)
         ]
         typical = places[int(np.argsort([np.linalg.norm(p) for p in places])[1])]
         if np.linalg.norm(places[1] - typical) > 0.02:
             continue
-        out[int(np.argmin(np.abs(t_ns - s.t_ns)))] = T_support_base @ s.T_base_model @ invert(T_reference)
+        out[int(np.argmin(np.abs(t_ns - s.t_ns)))] = (
+            T_support_base @ s.T_base_model @ invert(T_reference)
+        )
     return out

@@ -52,11 +52,23 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
         scene = scene_of(trial, hindsight)
         v = config.verdict
         try:
-            cause = scene if isinstance(scene, str) else cause_of(scene, v.method, v.draws, config.seed, v.least)
-        except ValueError as error:  # a cloud that spans no volume, or that MuJoCo can't make a solid of
+            cause = (
+                scene
+                if isinstance(scene, str)
+                else cause_of(scene, v.method, v.draws, config.seed, v.least)
+            )
+        except (
+            ValueError
+        ) as error:  # a cloud that spans no volume, or that MuJoCo can't make a solid of
             cause = str(error)
     if isinstance(cause, str) or isinstance(scene, str) or hindsight is None:
-        columns.update(failure_class="unknown", p_imprecise_pose=0.0, p_collision=0.0, p_timing=0.0, p_unknown=1.0)
+        columns.update(
+            failure_class="unknown",
+            p_imprecise_pose=0.0,
+            p_collision=0.0,
+            p_timing=0.0,
+            p_unknown=1.0,
+        )
         columns["evidence"] = f"{ended.evidence}; the cause is unknown: {cause}"
         return Judgement(columns, close_ns, None, tuple(notes))
     names = ("p_imprecise_pose", "p_collision", "p_timing", "p_unknown")
@@ -72,12 +84,22 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
     if blame.term == "unknown":
         notes.append(f"blame unknown: {blame.why_unknown}")
     elif blame.term != "execution":
-        notes.append("blame: " + ", ".join(f"{k} {v * 1000:.0f} mm" for k, v in blame.sizes.items()))
+        notes.append(
+            "blame: " + ", ".join(f"{k} {v * 1000:.0f} mm" for k, v in blame.sizes.items())
+        )
         if not isinstance(scene.beliefs, str) and scene.beliefs.gains is not None:
-            notes.append("commanded to the grasp with {:.2f}/s level and {:.2f}/s upright".format(*scene.beliefs.gains))
+            notes.append(
+                "commanded to the grasp with {:.2f}/s level and {:.2f}/s upright".format(
+                    *scene.beliefs.gains
+                )
+            )
     if scene.held:
-        notes.append("verdict: someone holds the object; it is assumed to be let go once two fingers press it for 0.1 s")
-    notes.append(f"verdict: {cause.instrument}, {len(cause.samples)} draws, {cause.reproduced:.0%} reproduce the failure")
+        notes.append(
+            "verdict: someone holds the object; it is assumed to be let go once two fingers press it for 0.1 s"
+        )
+    notes.append(
+        f"verdict: {cause.instrument}, {len(cause.samples)} draws, {cause.reproduced:.0%} reproduce the failure"
+    )
     decisive = close_ns
     if cause.failure_class == "collision":
         decisive = hindsight.pushed_ns or hindsight.contact_ns or close_ns

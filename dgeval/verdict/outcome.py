@@ -18,8 +18,13 @@ LAST_S = 0.5  # of the log, over which efforts are judged
 HELD_M = 0.002  # between closed jaws; walls of cups are 3 mm and more
 HELD_NM = 0.05  # mean effort of a finger's flexion joints that presses on something; empty ones show up to 0.01
 IN_HAND_M, AWAY_M = 0.04, 0.10  # from the object's middle to the hand
-STEADY_M = 0.02  # half of the sightings after the lift agree on the height to within that, or say nothing
-LEFT_BEHIND_M, CARRIED_M = 0.05, 0.05  # m: rise below which a sighted object was left, above which it came along
+STEADY_M = (
+    0.02  # half of the sightings after the lift agree on the height to within that, or say nothing
+)
+LEFT_BEHIND_M, CARRIED_M = (
+    0.05,
+    0.05,
+)  # m: rise below which a sighted object was left, above which it came along
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,41 +44,71 @@ def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
     the beliefs it recorded about a grasp.
     """
     spec = trial.spec
-    label = spec.label or next((str(e.fields.get("label")) for e in trial.events if e.kind == "label"), None)
+    label = spec.label or next(
+        (str(e.fields.get("label")) for e in trial.events if e.kind == "label"), None
+    )
     if label in ("success", "failure"):
-        return Ended("success" if label == "success" else "failure", "label", "an operator's label says so")
+        return Ended(
+            "success" if label == "success" else "failure", "label", "an operator's label says so"
+        )
     close_ns = trial.event_ns("close")
     if close_ns is None:
         if trial.damage:
-            return Ended("incomplete", None, "the recording is damaged and what can be read of it has no close")
+            return Ended(
+                "incomplete",
+                None,
+                "the recording is damaged and what can be read of it has no close",
+            )
         if trial.scan.poses.get("/dgeval/belief/grasp") and trial.event_ns("trial_end") is not None:
-            return Ended("failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0)
+            return Ended(
+                "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
+            )
         return Ended("no_grasp", "inferred", "the log has no close command")
     end_ns = max(trial.pairs[-1][0], spec.end_ns or 0)
-    joints = [s.t_ns for s in trial.scan.joints.get(trial.roles.hand_joints or "", []) if s.t_ns <= end_ns]
+    joints = [
+        s.t_ns for s in trial.scan.joints.get(trial.roles.hand_joints or "", []) if s.t_ns <= end_ns
+    ]
     last_ns = max([trial.pairs[-1][0], *joints[-1:]])
     if (last_ns - close_ns) * 1e-9 < AFTER_S:
-        return Ended("unknown", None, f"the log ends {max(0.0, (last_ns - close_ns) * 1e-9):.1f} s after the close")
+        return Ended(
+            "unknown",
+            None,
+            f"the log ends {max(0.0, (last_ns - close_ns) * 1e-9):.1f} s after the close",
+        )
     fingers = _pressing(trial, last_ns)
     seen = _seen_after(trial, hindsight, close_ns)
     if fingers is None and seen is None:
-        return Ended("unknown", None, "neither efforts nor a sighting after the lift say how it ended")
+        return Ended(
+            "unknown", None, "neither efforts nor a sighting after the lift say how it ended"
+        )
     if fingers is not None and seen is not None and fingers[0] != seen[0]:
         return Ended("unknown", None, f"{fingers[1]}, but {seen[1]}")
     held = (fingers or seen)[0]  # type: ignore[index]
     said = " and ".join(s[1] for s in (fingers, seen) if s is not None)
-    confident = 0.99 if fingers is not None and seen is not None else 0.97 if fingers is not None else 0.9
-    return Ended("success" if held else "failure", "inferred", said, confident if held else 1 - confident)
+    confident = (
+        0.99 if fingers is not None and seen is not None else 0.97 if fingers is not None else 0.9
+    )
+    return Ended(
+        "success" if held else "failure", "inferred", said, confident if held else 1 - confident
+    )
 
 
 def _pressing(trial: Trial, last_ns: int) -> tuple[bool, str] | None:
     """What the fingers say at the end; None without efforts of a known hand."""
     first_ns = last_ns - round(LAST_S * 1e9)
-    samples = [s for s in trial.scan.joints.get(trial.roles.hand_joints or "", []) if first_ns <= s.t_ns <= last_ns]
+    samples = [
+        s
+        for s in trial.scan.joints.get(trial.roles.hand_joints or "", [])
+        if first_ns <= s.t_ns <= last_ns
+    ]
     if samples and all(name in samples[-1].positions for name in JAW.joints):
-        return between_jaws(np.array([[s.positions[n] for n in JAW.joints if n in s.positions] for s in samples]))
+        return between_jaws(
+            np.array([[s.positions[n] for n in JAW.joints if n in s.positions] for s in samples])
+        )
     flexion = [n for n in FIVE_FINGERS.drives if not n.endswith("_0")]
-    rows = [[s.efforts[n] for n in flexion] for s in samples if all(n in s.efforts for n in flexion)]
+    rows = [
+        [s.efforts[n] for n in flexion] for s in samples if all(n in s.efforts for n in flexion)
+    ]
     return None if len(rows) < 5 else grip(np.array(rows))
 
 
@@ -94,16 +129,27 @@ def grip(efforts: Array) -> tuple[bool, str]:
     return False, f"the fingers hold nothing at the end ({listed} Nm)"
 
 
-def _seen_after(trial: Trial, hindsight: Hindsight | None, close_ns: int) -> tuple[bool, str] | None:
+def _seen_after(
+    trial: Trial, hindsight: Hindsight | None, close_ns: int
+) -> tuple[bool, str] | None:
     """What registered sightings of the last part of the log say: left on the support, or up with the hand."""
     if hindsight is None or hindsight.support is None:
         return None
-    later = [s for s in hindsight.sightings if s.t_ns > close_ns + 1_500_000_000 and s.by == "registration"]
+    later = [
+        s
+        for s in hindsight.sightings
+        if s.t_ns > close_ns + 1_500_000_000 and s.by == "registration"
+    ]
     if len(later) < 3:
         return None
     centre = hindsight.path.centroid
-    rest = float(hindsight.support.height((hindsight.path.at(close_ns) @ np.append(centre, 1.0))[:3]))
-    rises = [float(hindsight.support.height((s.T_base_model @ np.append(centre, 1.0))[:3])) - rest for s in later]
+    rest = float(
+        hindsight.support.height((hindsight.path.at(close_ns) @ np.append(centre, 1.0))[:3])
+    )
+    rises = [
+        float(hindsight.support.height((s.T_base_model @ np.append(centre, 1.0))[:3])) - rest
+        for s in later
+    ]
     rise = float(np.median(rises))
     if float(np.median(np.abs(np.subtract(rises, rise)))) > STEADY_M:
         return None  # taken for something else from frame to frame

@@ -13,22 +13,49 @@ FREE, SEEN = (60, 60, 230), (40, 200, 255)  # BGR: on its free path, and as sigh
 
 
 def decisive_picture(
-    image: NDArray[np.uint8], t_ns: int, T_base_camera: Array, camera: Intrinsics, hindsight: Hindsight, title: str
+    image: NDArray[np.uint8],
+    t_ns: int,
+    T_base_camera: Array,
+    camera: Intrinsics,
+    hindsight: Hindsight,
+    title: str,
 ) -> NDArray[np.uint8]:
     """BGR image (H, W, 3) with the outlines of the object on its free path (red) and where it was seen then (yellow)."""
     out = image.copy()
     T_camera_base = invert(T_base_camera)
-    _outline(out, transform(T_camera_base @ hindsight.path.at(t_ns), hindsight.points), camera, FREE)
+    _outline(
+        out, transform(T_camera_base @ hindsight.path.at(t_ns), hindsight.points), camera, FREE
+    )
     near = min(hindsight.sightings, key=lambda s: abs(s.t_ns - t_ns))
     if abs(near.t_ns - t_ns) < 100_000_000:
         _outline(out, transform(T_camera_base @ near.T_base_model, hindsight.points), camera, SEEN)
     scale = max(0.4, out.shape[1] / 1100)
-    cv2.putText(out, title, (6, out.shape[0] - 8), cv2.FONT_HERSHEY_SIMPLEX, scale, (0, 0, 0), 3, cv2.LINE_AA)
-    cv2.putText(out, title, (6, out.shape[0] - 8), cv2.FONT_HERSHEY_SIMPLEX, scale, (255, 255, 255), 1, cv2.LINE_AA)
+    cv2.putText(
+        out,
+        title,
+        (6, out.shape[0] - 8),
+        cv2.FONT_HERSHEY_SIMPLEX,
+        scale,
+        (0, 0, 0),
+        3,
+        cv2.LINE_AA,
+    )
+    cv2.putText(
+        out,
+        title,
+        (6, out.shape[0] - 8),
+        cv2.FONT_HERSHEY_SIMPLEX,
+        scale,
+        (255, 255, 255),
+        1,
+        cv2.LINE_AA,
+    )
     return out
 
 
-def _outline(image: NDArray[np.uint8], points: Array, camera: Intrinsics, colour: tuple[int, int, int]) -> None:
+def _outline(
+    image: NDArray[np.uint8], points: Array, camera: Intrinsics, colour: tuple[int, int, int]
+) -> None:
     points = points[points[:, 2] > 0.03]
     if len(points) < 3:
         return

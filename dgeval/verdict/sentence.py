@@ -10,7 +10,9 @@ from dgeval.verdict.outcome import Ended
 WORDS = {"imprecise_pose": "imprecise pose", "collision": "collision", "timing": "timing"}
 
 
-def sentence(trial: Trial, hindsight: Hindsight, ended: Ended, cause: Cause, link: str | None) -> str:
+def sentence(
+    trial: Trial, hindsight: Hindsight, ended: Ended, cause: Cause, link: str | None
+) -> str:
     """What a person would say, with times in seconds from the trial's first frame."""
     start = trial.pairs[0][0]
     close_ns = trial.event_ns("close")
@@ -18,7 +20,9 @@ def sentence(trial: Trial, hindsight: Hindsight, ended: Ended, cause: Cause, lin
     def at(t_ns: int) -> str:
         return f"{(t_ns - start) * 1e-9:.2f} s"
 
-    closed = f"the hand closed at {at(close_ns)}" if close_ns is not None else "the hand never closed"
+    closed = (
+        f"the hand closed at {at(close_ns)}" if close_ns is not None else "the hand never closed"
+    )
     if cause.failure_class == "unknown":
         return f"{closed}, {ended.evidence}; the cause is unknown: {cause.why_unknown}"
     p = max(cause.probabilities)
@@ -29,9 +33,7 @@ def sentence(trial: Trial, hindsight: Hindsight, ended: Ended, cause: Cause, lin
         who = f"{link} " if link else "the hand "
         where = f" at {at(when)}" if when is not None else ""
         off = f"{facts.displacement_m * 1000:.0f} mm and {facts.displacement_deg:.0f} degrees"
-        return (
-            f"{said}{who}pushed the object{where}; it was {off} off its path by the close, and on its path it could be lifted"
-        )
+        return f"{said}{who}pushed the object{where}; it was {off} off its path by the close, and on its path it could be lifted"
     if cause.failure_class == "timing":
         shift = cause.shift_s or 0.0
         if close_ns is None:
@@ -42,6 +44,10 @@ def sentence(trial: Trial, hindsight: Hindsight, ended: Ended, cause: Cause, lin
         return f"{said}The same approach closed {abs(shift):.2f} s {late}, at {at(good)}, lifts the object"
     if not facts.curve:
         return said + "The hand was never near the object"
-    pushed = f", not even without the push of {facts.displacement_m * 1000:.0f} mm" if facts.displacement_m > 0.005 else ""
+    pushed = (
+        f", not even without the push of {facts.displacement_m * 1000:.0f} mm"
+        if facts.displacement_m > 0.005
+        else ""
+    )
     how = "was not in the grasp" if cause.sub_cause == "missed" else "was lifted and slipped"
     return f"{said}The object {how}; no close from {facts.curve[0][0]:+.1f} s to {facts.curve[-1][0]:+.1f} s lifts it{pushed}"

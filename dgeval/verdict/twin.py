@@ -31,12 +31,21 @@ from dgeval.worlds.presenter import GRIP, GRIPPED_N, RELEASE_S
 from dgeval.worlds.scene import TIMESTEP, build, finger_forces, least_distance
 
 STEP = 6  # control periods between the close times tried; half of it around lone successes
-FREE_STEPS_M = (0.003, 0.006, 0.010, 0.014)  # beyond the rule's 10 mm by what the object's own place is uncertain
+FREE_STEPS_M = (
+    0.003,
+    0.006,
+    0.010,
+    0.014,
+)  # beyond the rule's 10 mm by what the object's own place is uncertain
 HOLD_S = 0.3  # after the lift, until which the object must still be held
-NEAR_CENTRE = 0.20  # m from the grasp's centre to the object's, where the window of close times begins
+NEAR_CENTRE = (
+    0.20  # m from the grasp's centre to the object's, where the window of close times begins
+)
 RESYNC_M, RESYNC_RAD = 0.006, 0.10  # a sighting farther than this from the physics' object moves it
 REACHED_M = 0.02  # hand to object; before it has come so near, what lies off the path is an error of the path
-MISMATCH_MOST = 0.3  # rad; a finger farther than this from where it was recorded says no more than that
+MISMATCH_MOST = (
+    0.3  # rad; a finger farther than this from where it was recorded says no more than that
+)
 ERROR_LEAST_M = 0.001  # of the palm; smaller ones put nothing right
 WORLD_X = 0.5  # where the object stands in the world of `physics.scene`
 
@@ -85,7 +94,9 @@ class Twin:
         self.thing, centre = replace(solid[0], mass=solid[0].mass * mass), solid[1]
         self.gripper = scene.gripper
         speed = 0.0 if scene.held else float(scene.velocity[1])
-        self.model = build(self.thing, speed, "hand", presented=scene.held, gripper=self.gripper.name)
+        self.model = build(
+            self.thing, speed, "hand", presented=scene.held, gripper=self.gripper.name
+        )
         m = self.model
         parts = [g for g in range(m.ngeom) if m.geom(g).name.startswith("object_")]
         m.geom_friction[parts, 0] *= friction
@@ -105,11 +116,15 @@ class Twin:
         self._is_object = np.isin(np.arange(m.ngeom), parts)
         self._first = self._begin(centre, scene)
         # the belt is not endless: its middle is the middle of the way
-        way = scene.free[scene.reference if self._first is None else self._first : scene.reference + 1, 1]
+        way = scene.free[
+            scene.reference if self._first is None else self._first : scene.reference + 1, 1
+        ]
         self._shift = np.array([WORLD_X - centre[0], -centre[1] - (way.min() + way.max()) / 2, 0.0])
         self.rest = float(centre[2]) if scene.held else self.thing.rest_height()
         self._names = {g: m.geom(g).name for g in np.flatnonzero(self._is_hand).tolist()}
-        self._start = self._shift + np.array([centre[0] + offset[0], centre[1] + offset[1], self.rest])
+        self._start = self._shift + np.array(
+            [centre[0] + offset[0], centre[1] + offset[1], self.rest]
+        )
         self._turn = offset[2]
         self._moved = np.zeros(3)  # of the whole approach, from where it was recorded
         self._size = mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -120,7 +135,9 @@ class Twin:
         T = scene.hand.T_support_hand[: end + 1]
         palms = T[:, :3, :3] @ self.gripper.centre + T[:, :3, 3]
         reach = NEAR_CENTRE + 0.5 * float(np.linalg.norm(self.thing.extent()))
-        near = np.flatnonzero(np.linalg.norm(palms - centre - scene.free[: end + 1], axis=1) < reach)
+        near = np.flatnonzero(
+            np.linalg.norm(palms - centre - scene.free[: end + 1], axis=1) < reach
+        )
         return end - (end - int(near[0])) // 3 * 3 if len(near) else None
 
     # the world at a tick
@@ -141,9 +158,14 @@ class Twin:
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, T[:3, :3].ravel())
         d.mocap_pos[self._handle], d.mocap_quat[self._handle] = T[:3, 3], quat
-        d.qpos[self._hand : self._hand + 3], d.qpos[self._hand + 3 : self._hand + 7] = T[:3, 3], quat
+        d.qpos[self._hand : self._hand + 3], d.qpos[self._hand + 3 : self._hand + 7] = (
+            T[:3, 3],
+            quat,
+        )
         d.qvel[self._hand_dof : self._hand_dof + 3] = velocity
-        d.qvel[self._hand_dof + 3 : self._hand_dof + 6] = T[:3, :3].T @ spin  # a free joint's spin is in the body's axes
+        d.qvel[self._hand_dof + 3 : self._hand_dof + 6] = (
+            T[:3, :3].T @ spin
+        )  # a free joint's spin is in the body's axes
 
     def put_object(self, tick: int) -> None:
         d = self.data
@@ -156,11 +178,16 @@ class Twin:
         """The hand of who holds the object to where it has it, undisturbed."""
         if self._presenter is not None:
             pose = self.undisturbed(tick)
-            self.data.mocap_pos[self._presenter], self.data.mocap_quat[self._presenter] = pose[:3], pose[3:]
+            self.data.mocap_pos[self._presenter], self.data.mocap_quat[self._presenter] = (
+                pose[:3],
+                pose[3:],
+            )
 
     def _held(self) -> bool:
         """Whether someone still holds the object."""
-        return self._presenter is not None and bool(self.data.eq_active[self.model.equality(GRIP).id])
+        return self._presenter is not None and bool(
+            self.data.eq_active[self.model.equality(GRIP).id]
+        )
 
     def _resync(self, tick: int) -> list[float]:
         """Where the object was seen well away from where physics has it, it goes there: sightings are facts too.
@@ -260,7 +287,9 @@ class Twin:
         geom = next(int(g) for g in pairs[k] if self._is_hand[g])
         return True, max(0.0, -float(self.data.contact.dist[k])), self.model.geom(geom).name
 
-    def close(self, T: Array, velocity: Array, preshape: Array, fingers: list[Array] | None = None) -> tuple[bool, float]:
+    def close(
+        self, T: Array, velocity: Array, preshape: Array, fingers: list[Array] | None = None
+    ) -> tuple[bool, float]:
         """Close, follow, lift from the present state: success, and the object's greatest rise m.
 
         fingers: gets the drives' positions after each tick.
@@ -289,10 +318,16 @@ class Twin:
                 return False, height
             if lift >= LIFT_S + HOLD_S:
                 centre = T[:3, :3] @ self.gripper.centre + T[:3, 3]
-                near = np.linalg.norm(d.qpos[self._object : self._object + 3] - centre) < MAX_FROM_HAND
-                return bool(z > self.rest + MIN_LIFT and near and self.touching()[0] and not self._held()), height
+                near = (
+                    np.linalg.norm(d.qpos[self._object : self._object + 3] - centre) < MAX_FROM_HAND
+                )
+                return bool(
+                    z > self.rest + MIN_LIFT and near and self.touching()[0] and not self._held()
+                ), height
 
-    def _close_at(self, state: Array, tick: int, fingers: list[Array] | None = None) -> tuple[bool, float]:
+    def _close_at(
+        self, state: Array, tick: int, fingers: list[Array] | None = None
+    ) -> tuple[bool, float]:
         self.restore(state)
         T = self._hand_pose()
         return self.close(T, self.scene.hand.velocity[tick], self.scene.hand.fingers[tick], fingers)
@@ -326,7 +361,9 @@ class Twin:
         if self._approached is None or self.scene.close is None:
             return False
         self._moved = -error
-        works = self._close_at(self._approach(min(self._approached.states), end, resync=False).states[end], end)[0]
+        works = self._close_at(
+            self._approach(min(self._approached.states), end, resync=False).states[end], end
+        )[0]
         self._moved = np.zeros(3)
         return works
 
@@ -341,14 +378,25 @@ class Twin:
         self._put_hand(T, self.scene.velocity, np.zeros(3))
         mujoco.mj_forward(self.model, self.data)
         inside = self.touching()[1] > Thresholds().overlap_m
-        return {"goal": not inside and self.close(T, self.scene.velocity, self.scene.hand.fingers[end])[0]}
+        return {
+            "goal": not inside
+            and self.close(T, self.scene.velocity, self.scene.hand.fingers[end])[0]
+        }
 
     def decide(self, thresholds: Thresholds, reproduced: bool, weight: float) -> Sample:
         """After `approach`: the curve of close times, the rule over it, and the approach without what put the palm off."""
         scene, end, made = self.scene, self.scene.reference, self._approached
         if made is None:
             facts = Facts(scene.close is not None, 0.0, 0.0, (), None, 0.0)
-            return Sample(Verdict("imprecise_pose", "missed"), facts, scene.close is None, weight, self._goal(), None, None)
+            return Sample(
+                Verdict("imprecise_pose", "missed"),
+                facts,
+                scene.close is None,
+                weight,
+                self._goal(),
+                None,
+                None,
+            )
         contact = made.contact
         tried = self._earlier(made.states, min(made.states), contact)
         if scene.close is not None:
@@ -367,25 +415,34 @@ class Twin:
                 k = end if scene.close is not None or contact is None else contact
                 self.at(k)
                 overlap = self.touching()[1]
-                works = self.close(self.hand_at(k), scene.hand.velocity[k], scene.hand.fingers[k])[0]
+                works = self.close(self.hand_at(k), scene.hand.velocity[k], scene.hand.fingers[k])[
+                    0
+                ]
                 facts = replace(facts, overlap_m=overlap, put_back=works)
         restored: dict[str, bool] = {}
         if scene.close is None:
             restored = self._goal()
         elif answer.failure_class != "collision" and not isinstance(scene.beliefs, str):
-            parts = {k: e for k, e in scene.beliefs.errors.items() if np.linalg.norm(e) > ERROR_LEAST_M}
+            parts = {
+                k: e for k, e in scene.beliefs.errors.items() if np.linalg.norm(e) > ERROR_LEAST_M
+            }
             restored = {k: self.without(e) for k, e in parts.items()}
             if len(parts) > 1 and not any(restored.values()):
                 restored["all"] = self.without(np.sum(list(parts.values()), axis=0))
         t_contact = None if contact is None else (contact - end) * CONTROL_S
         return Sample(answer, facts, reproduced, weight, restored, t_contact, made.link)
 
-    def _earlier(self, states: dict[int, Array], first: int, contact: int | None) -> dict[int, bool]:
+    def _earlier(
+        self, states: dict[int, Array], first: int, contact: int | None
+    ) -> dict[int, bool]:
         """Close times up to the real one, backwards until two in a row work; past a push, until two before it do."""
         scene, end = self.scene, self.scene.reference
         fine = end - round(AFTER_CLOSE_S / CONTROL_S) if scene.close is not None else end
         step = 2 * STEP if scene.close is not None else STEP
-        wanted = [*range(end, max(fine, first) - 1, -STEP), *range(max(fine, first) - STEP, first - 1, -step)]
+        wanted = [
+            *range(end, max(fine, first) - 1, -STEP),
+            *range(max(fine, first) - STEP, first - 1, -step),
+        ]
         tried: dict[int, bool] = {}
         row = 0
         for k in wanted:
@@ -395,7 +452,11 @@ class Twin:
             row = row + 1 if tried[k] else 0
             if row == 2 and (contact is None or scene.close is None or k < contact):
                 break
-        for k in [k for k in sorted(tried) if tried[k] and not tried.get(k - STEP) and not tried.get(k + STEP)]:
+        for k in [
+            k
+            for k in sorted(tried)
+            if tried[k] and not tried.get(k - STEP) and not tried.get(k + STEP)
+        ]:
             for n in (k - STEP // 2, k + STEP // 2):
                 if n in states and n not in tried:
                     tried[n] = self._close_at(states[n], n)[0]
@@ -405,7 +466,11 @@ class Twin:
         """Whether a close from this state can do anything: the object lies within the hand's reach."""
         self.restore(state)
         T = self._hand_pose()
-        off = self.data.qpos[self._object : self._object + 3] - T[:3, :3] @ self.gripper.centre - T[:3, 3]
+        off = (
+            self.data.qpos[self._object : self._object + 3]
+            - T[:3, :3] @ self.gripper.centre
+            - T[:3, 3]
+        )
         return bool(np.linalg.norm(off) < NEAR + 0.5 * np.linalg.norm(self.thing.extent()))
 
     def _hand_pose(self) -> Array:
@@ -421,9 +486,14 @@ class Twin:
         off = np.zeros((end - first + 1, 2))
         contact, link, reached = None, None, False
         strayed: list[float] = []
-        hand, thing = np.flatnonzero(self._is_hand).tolist(), np.flatnonzero(self._is_object).tolist()
+        hand, thing = (
+            np.flatnonzero(self._is_hand).tolist(),
+            np.flatnonzero(self._is_object).tolist(),
+        )
         for k in range(first, end + 1):
-            reached = reached or least_distance(self.model, self.data, hand, thing, REACHED_M) < REACHED_M
+            reached = (
+                reached or least_distance(self.model, self.data, hand, thing, REACHED_M) < REACHED_M
+            )
             pose, free = self.data.qpos[self._object : self._object + 7], self.undisturbed(k)
             if not reached:
                 pose[:2] = free[:2]
@@ -431,7 +501,9 @@ class Twin:
                 strayed += self._resync(k)
             off[k - first, 0] = np.linalg.norm(pose[:3] - free[:3])
             dot = abs(float(pose[3:7] @ free[3:7]))
-            off[k - first, 1] = 0.0 if self.thing.rolls else np.degrees(2 * np.arccos(min(1.0, dot)))
+            off[k - first, 1] = (
+                0.0 if self.thing.rolls else np.degrees(2 * np.arccos(min(1.0, dot)))
+            )
             if contact is None and (off[k - first, 0] > 0.001 or off[k - first, 1] > 1.0):
                 touches, _, name = self.touching()
                 if touches:
@@ -442,7 +514,11 @@ class Twin:
                 self._present(k + 1)
                 a, b = self.hand_at(k), self.hand_at(k + 1)
                 self.data.ctrl[self._drives] = self.scene.hand.fingers[k]
-                self._move(a, (b[:3, 3] - a[:3, 3]) / CONTROL_S, rotation_vector(b[:3, :3] @ a[:3, :3].T) / CONTROL_S)
+                self._move(
+                    a,
+                    (b[:3, 3] - a[:3, 3]) / CONTROL_S,
+                    rotation_vector(b[:3, :3] @ a[:3, :3].T) / CONTROL_S,
+                )
                 self._put_hand(b, *self.twist(k + 1))
         if resync and strayed:
             self.strayed = float(np.mean(strayed))
@@ -469,8 +545,17 @@ class Twin:
 
     def _free_pose(self, end: int) -> bool:
         """As put back at the close, with the palm moved by at most 10 mm to where nothing overlaps."""
-        ways = [np.array([a, b, c], dtype=float) for a in (0, 1, -1) for b in (0, 1, -1) for c in (0, 1, -1) if a or b or c]
-        for move in [np.zeros(3), *(step * w / np.linalg.norm(w) for step in FREE_STEPS_M for w in ways)]:
+        ways = [
+            np.array([a, b, c], dtype=float)
+            for a in (0, 1, -1)
+            for b in (0, 1, -1)
+            for c in (0, 1, -1)
+            if a or b or c
+        ]
+        for move in [
+            np.zeros(3),
+            *(step * w / np.linalg.norm(w) for step in FREE_STEPS_M for w in ways),
+        ]:
             self.at(end)
             T = self.hand_at(end)
             T[:3, 3] += T[:3, :3] @ move

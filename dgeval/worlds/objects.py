@@ -84,7 +84,9 @@ class ObjectModel:
     mass: float
     parts: tuple[Part, ...]
     look: Look
-    mesh: tuple[Array, NDArray[np.int32]] | None = field(default=None, repr=False)  # vertices m, faces; to be seen only
+    mesh: tuple[Array, NDArray[np.int32]] | None = field(
+        default=None, repr=False
+    )  # vertices m, faces; to be seen only
     soft: bool = False
     rolls: bool = False
 
@@ -106,7 +108,9 @@ def at(x: float = 0.0, y: float = 0.0, z: float = 0.0, R: Array | None = None) -
     return T
 
 
-def box(name: str, size_mm: tuple[float, float, float], mass: float, look: Look, soft: bool = False) -> ObjectModel:
+def box(
+    name: str, size_mm: tuple[float, float, float], mass: float, look: Look, soft: bool = False
+) -> ObjectModel:
     half = tuple(s / 2000 for s in size_mm)
     return ObjectModel(name, mass, (Part("box", np.eye(4), half),), look, soft=soft)
 
@@ -116,7 +120,14 @@ def ball(name: str, diameter: float, mass: float, look: Look) -> ObjectModel:
 
 
 def vessel(
-    name: str, r_bottom: float, r_top: float, height: float, wall: float, mass: float, look: Look, handle: float = 0.0
+    name: str,
+    r_bottom: float,
+    r_top: float,
+    height: float,
+    wall: float,
+    mass: float,
+    look: Look,
+    handle: float = 0.0,
 ) -> ObjectModel:
     """Open cup: twelve wall boxes and a bottom disc, seen as a surface of revolution; a handle of three capsules, or none."""
     n = 12
@@ -134,7 +145,10 @@ def vessel(
         parts.append(Part("capsule", at(x, 0, 0), (r, h - r)))
         inner = (r_bottom + r_top) / 2 - wall
         across = Rotation.from_euler("y", np.pi / 2).as_matrix()
-        parts += [Part("capsule", at((x + inner) / 2, 0, z, across), (r, (x - inner) / 2)) for z in (h, -h)]
+        parts += [
+            Part("capsule", at((x + inner) / 2, 0, z, across), (r, (x - inner) / 2))
+            for z in (h, -h)
+        ]
     top, bottom = height / 2, -height / 2
     profile = [
         (0, bottom), (r_bottom, bottom), (r_top, top),
@@ -143,12 +157,19 @@ def vessel(
     return ObjectModel(name, mass, tuple(parts), look, mesh=revolve(profile, 36))
 
 
-def stack(name: str, sections: list[tuple[float, float, float]], mass: float, look: Look) -> ObjectModel:
+def stack(
+    name: str, sections: list[tuple[float, float, float]], mass: float, look: Look
+) -> ObjectModel:
     """Bottle-like solid of elliptic sections (half width x, half width y, z), one convex hull between each two."""
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     low, high = sections[0][2], sections[-1][2]
-    rings = [np.stack([a * np.cos(turn), b * np.sin(turn), np.full(24, z - (low + high) / 2)], 1) for a, b, z in sections]
-    parts = tuple(Part("hull", np.eye(4), vertices=np.concatenate(pair)) for pair in pairwise(rings))
+    rings = [
+        np.stack([a * np.cos(turn), b * np.sin(turn), np.full(24, z - (low + high) / 2)], 1)
+        for a, b, z in sections
+    ]
+    parts = tuple(
+        Part("hull", np.eye(4), vertices=np.concatenate(pair)) for pair in pairwise(rings)
+    )
     return ObjectModel(name, mass, parts, look)
 
 
@@ -162,7 +183,13 @@ def revolve(profile: list[tuple[float, float]], n: int) -> tuple[Array, NDArray[
 
 def ten_objects() -> dict[str, ObjectModel]:
     """The ten objects of the dynamic-grasping paper (Table III) by size and mass, SIMULATION section 7; looks are ours."""
-    bottle = [(0.047, 0.029, 0.0), (0.048, 0.029, 0.09), (0.042, 0.026, 0.125), (0.020, 0.017, 0.150), (0.013, 0.013, 0.160)]
+    bottle = [
+        (0.047, 0.029, 0.0),
+        (0.048, 0.029, 0.09),
+        (0.042, 0.026, 0.125),
+        (0.020, 0.017, 0.150),
+        (0.013, 0.013, 0.160),
+    ]
     bottle += [(0.010, 0.010, 0.190)]
     made = [
         box("sugar_box", (38, 89, 175), 0.514, Look("print", (225, 190, 40))),
@@ -170,7 +197,9 @@ def ten_objects() -> dict[str, ObjectModel]:
         box("gelatin_box", (28, 85, 73), 0.097, Look("print", (190, 50, 60))),
         stack("mustard_bottle", bottle, 0.603, Look("print", (235, 200, 30))),
         ball("apple", 0.075, 0.068, Look("mottled", (170, 35, 35))),
-        vessel("mug", 0.0465, 0.0465, 0.081, 0.004, 0.118, Look("print", (180, 45, 40)), handle=0.024),
+        vessel(
+            "mug", 0.0465, 0.0465, 0.081, 0.004, 0.118, Look("print", (180, 45, 40)), handle=0.024
+        ),
         ball("baseball", 0.073, 0.148, Look("seam", (232, 230, 222))),
         vessel("cup", 0.030, 0.0375, 0.068, 0.003, 0.025, Look("print", (60, 120, 190))),
         box("foam_brick", (50, 75, 50), 0.028, Look("mottled", (150, 60, 45)), soft=True),
@@ -190,8 +219,18 @@ def eight_objects() -> dict[str, ObjectModel]:
         vessel("bowl", 0.045, 0.080, 0.055, 0.004, 0.147, Look("print", (190, 40, 40))),
         box("cracker_box", (60, 158, 210), 0.411, Look("print", (200, 40, 40))),
         stack("bottle", bottle, 0.35, Look("print", (60, 130, 200))),
-        ObjectModel("can", 0.349, (Part("cylinder", np.eye(4), (0.033, 0.0505)),), Look("print", (190, 60, 40))),
-        ObjectModel("chips_can", 0.205, (Part("cylinder", np.eye(4), (0.0375, 0.125)),), Look("print", (200, 50, 50))),
+        ObjectModel(
+            "can",
+            0.349,
+            (Part("cylinder", np.eye(4), (0.033, 0.0505)),),
+            Look("print", (190, 60, 40)),
+        ),
+        ObjectModel(
+            "chips_can",
+            0.205,
+            (Part("cylinder", np.eye(4), (0.0375, 0.125)),),
+            Look("print", (200, 50, 50)),
+        ),
         ten_objects()["mug"],
         ObjectModel("mustard", mustard.mass, mustard.parts, mustard.look),
         box("small_box", (45, 70, 110), 0.150, Look("print", (80, 150, 90))),
@@ -210,7 +249,9 @@ def procedural_object(index: int, seed: int = 0) -> ObjectModel:
 
 
 def _random_object(index: int, rng: np.random.Generator) -> ObjectModel:
-    kind = ("box", "cylinder", "ellipsoid", "capsule", "frustum", "prism", "bottle", "cup", "mug")[index % 9]
+    kind = ("box", "cylinder", "ellipsoid", "capsule", "frustum", "prism", "bottle", "cup", "mug")[
+        index % 9
+    ]
     name, mass = f"{kind}_{index:03d}", float(rng.uniform(0.03, 0.6))
     styles: tuple[Literal["print", "mottled", "tiles"], ...] = ("print", "mottled", "tiles")
     look = Look(styles[int(rng.integers(3))], tuple(int(c) for c in rng.integers(40, 230, 3)))  # type: ignore[arg-type]
@@ -221,7 +262,9 @@ def _random_object(index: int, rng: np.random.Generator) -> ObjectModel:
     if kind == "cylinder":
         return ObjectModel(name, mass, (Part("cylinder", np.eye(4), (a, h)),), look)
     if kind == "ellipsoid":
-        return ObjectModel(name, mass, (Part("ellipsoid", np.eye(4), (a, b, min(h, 0.05))),), look, rolls=True)
+        return ObjectModel(
+            name, mass, (Part("ellipsoid", np.eye(4), (a, b, min(h, 0.05))),), look, rolls=True
+        )
     if kind == "capsule":
         lying = Rotation.from_euler("x", np.pi / 2).as_matrix()
         return ObjectModel(name, mass, (Part("capsule", at(R=lying), (a, h)),), look, rolls=True)
@@ -229,20 +272,44 @@ def _random_object(index: int, rng: np.random.Generator) -> ObjectModel:
         return stack(name, [(a, b, 0.0), (a * 0.6, b * 0.6, 2 * h)], mass, look)
     if kind == "prism":
         wide = 0.02 + a
-        parts = (Part("box", at(0, 0, -h / 2), (wide, b, h / 2)), Part("box", at(-wide / 2, 0, h / 2), (wide / 2, b, h / 2)))
+        parts = (
+            Part("box", at(0, 0, -h / 2), (wide, b, h / 2)),
+            Part("box", at(-wide / 2, 0, h / 2), (wide / 2, b, h / 2)),
+        )
         return ObjectModel(name, mass, parts, look)
     if kind == "bottle":
         r = 0.02 + a / 2
-        return stack(name, [(r, r, 0.0), (r, r, 1.4 * h), (0.4 * r, 0.4 * r, 1.8 * h), (0.4 * r, 0.4 * r, 2.2 * h)], mass, look)
+        return stack(
+            name,
+            [
+                (r, r, 0.0),
+                (r, r, 1.4 * h),
+                (0.4 * r, 0.4 * r, 1.8 * h),
+                (0.4 * r, 0.4 * r, 2.2 * h),
+            ],
+            mass,
+            look,
+        )
     r = 0.025 + a / 2
-    return vessel(name, 0.85 * r, r, max(2 * h, 0.05), 0.0035, mass, look, handle=0.022 if kind == "mug" else 0.0)
+    return vessel(
+        name,
+        0.85 * r,
+        r,
+        max(2 * h, 0.05),
+        0.0035,
+        mass,
+        look,
+        handle=0.022 if kind == "mug" else 0.0,
+    )
 
 
 def add_object(spec: mujoco.MjSpec, model: ObjectModel, called: str = "object") -> mujoco.MjsBody:
     """A free body with the model's parts; mass by volume over the parts, so that the total is right."""
     body = spec.worldbody.add_body(name=called)
     body.add_freejoint(name=called)
-    material = add_material(spec, model.name if called == "object" else f"{called}_{model.name}", model.look)
+    material = add_material(
+        spec, model.name if called == "object" else f"{called}_{model.name}", model.look
+    )
     volumes = [p.volume() for p in model.parts]
     seen_group = OBJECT_GROUP if called == "object" else 0
     for k, (part, volume) in enumerate(zip(model.parts, volumes, strict=True)):
@@ -260,10 +327,16 @@ def add_object(spec: mujoco.MjSpec, model: ObjectModel, called: str = "object") 
         geom.friction = [0.6, 0.005, 0.001 if model.rolls else 0.0001]
         geom.solref = [0.02, 1] if model.soft else [0.008, 1]
         geom.material = material
-        geom.group = seen_group if model.mesh is None else 3  # the hulls of a drawn mesh are not drawn
+        geom.group = (
+            seen_group if model.mesh is None else 3
+        )  # the hulls of a drawn mesh are not drawn
     if model.mesh is not None:
         vertices, faces = model.mesh
-        mesh = spec.add_mesh(name=f"{called}_seen", uservert=vertices.astype(np.float32).ravel(), userface=faces.ravel())
+        mesh = spec.add_mesh(
+            name=f"{called}_seen",
+            uservert=vertices.astype(np.float32).ravel(),
+            userface=faces.ravel(),
+        )
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         shown = [body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{called}_seen")]
         for part in model.parts:
@@ -271,7 +344,13 @@ def add_object(spec: mujoco.MjSpec, model: ObjectModel, called: str = "object") 
                 shown.append(body.add_geom(type=GEOM["capsule"], size=[*part.size, 0]))
                 place(shown[-1], part.T_object_part)
         for geom in shown:
-            geom.contype, geom.conaffinity, geom.mass, geom.material, geom.group = 0, 0, 0, material, seen_group
+            geom.contype, geom.conaffinity, geom.mass, geom.material, geom.group = (
+                0,
+                0,
+                0,
+                material,
+                seen_group,
+            )
     return body
 
 
@@ -291,7 +370,9 @@ def surface_points(model: ObjectModel, n: int, rng: np.random.Generator) -> Arra
         u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
         t = mesh.triangles[k]
         points = t[:, 0] + u * (t[:, 1] - t[:, 0]) + v * (t[:, 2] - t[:, 0])
-        outside = points + 1e-5 * mesh.face_normals[k]  # a step off the surface: within another part, nobody sees it
+        outside = (
+            points + 1e-5 * mesh.face_normals[k]
+        )  # a step off the surface: within another part, nobody sees it
         hidden = np.zeros(n, bool)
         for solid in solids if len(solids) > 1 or walls else []:
             reach = (solid.face_normals * solid.triangles[:, 0]).sum(axis=1)

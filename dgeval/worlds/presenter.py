@@ -12,7 +12,10 @@ from dgeval.geometry import Array
 from dgeval.robots.dlr_hit_hand import quat_wxyz
 
 GRIP = "presenter_grip"
-GRIPPED_N, RELEASE_S = 0.3, 0.1  # two fingers pressing this hard for so long, and the presenter lets go
+GRIPPED_N, RELEASE_S = (
+    0.3,
+    0.1,
+)  # two fingers pressing this hard for so long, and the presenter lets go
 TREMOR_HZ = (0.6, 1.1, 1.9, 2.7)  # of each degree of freedom; amplitudes fall with the frequency
 SKIN = (0.80, 0.62, 0.52, 1.0)
 
@@ -37,20 +40,44 @@ class Presenter:
         s = float(np.clip(t / self.arrive, 0.0, 1.0))
         way = s**3 * (10 - 15 * s + 6 * s * s)  # minimum jerk
         weights = 1 / np.array(TREMOR_HZ)
-        waves = np.sin(2 * np.pi * np.array(TREMOR_HZ) * t + self.phases) @ weights * np.sqrt(2 / (weights**2).sum())
+        waves = (
+            np.sin(2 * np.pi * np.array(TREMOR_HZ) * t + self.phases)
+            @ weights
+            * np.sqrt(2 / (weights**2).sum())
+        )
         turn = Rotation.from_rotvec(self.radians * waves[3:]) * Rotation.from_euler("z", self.yaw)
-        return self.start + way * (self.end - self.start) + self.metres * waves[:3], quat_wxyz(turn.as_matrix())
+        return self.start + way * (self.end - self.start) + self.metres * waves[:3], quat_wxyz(
+            turn.as_matrix()
+        )
 
 
-def drawn(rng: np.random.Generator, extent: Array, x: float, y: float, yaw: float, metres: float, radians: float) -> Presenter:
+def drawn(
+    rng: np.random.Generator,
+    extent: Array,
+    x: float,
+    y: float,
+    yaw: float,
+    metres: float,
+    radians: float,
+) -> Presenter:
     """A handover of an object of a size (3,) m to about (x, y) over the table, from up to 0.4 m away."""
     top = rng.uniform(0.20, 0.26)
     end = np.array([x, y, max(top - extent[2] / 2, 0.04 + extent[2] / 2)])
     heading, far = rng.uniform(-0.5, 0.5) * np.pi, rng.uniform(0.25, 0.40)
-    start = end + far * np.array([0.6 * np.cos(heading), np.sin(heading), 0.0]) + [0.0, 0.0, rng.uniform(-0.03, 0.03)]
+    start = (
+        end
+        + far * np.array([0.6 * np.cos(heading), np.sin(heading), 0.0])
+        + [0.0, 0.0, rng.uniform(-0.03, 0.03)]
+    )
     speed = rng.uniform(0.12, 0.25)  # m/s, mean
     return Presenter(
-        start, end, float(np.linalg.norm(end - start)) / speed, yaw, rng.uniform(0, 2 * np.pi, (6, 4)), metres, radians
+        start,
+        end,
+        float(np.linalg.norm(end - start)) / speed,
+        yaw,
+        rng.uniform(0, 2 * np.pi, (6, 4)),
+        metres,
+        radians,
     )
 
 
@@ -67,7 +94,10 @@ def add_presenter(spec: mujoco.MjSpec, extent: Array) -> None:
         (box, [0.030, 0.042, 0.013], [0.0, 0.0, palm_z], upright),
         (capsule, [0.010, reach / 2, 0], [-half[0] - 0.012, 0.0, middle], upright),
         (capsule, [0.030, 0.10, 0], [0.14, 0.0, palm_z - 0.03], lying),
-        *((capsule, [0.008, reach / 2, 0], [half[0] + 0.010, y, middle], upright) for y in (-0.03, -0.01, 0.01, 0.03)),
+        *(
+            (capsule, [0.008, reach / 2, 0], [half[0] + 0.010, y, middle], upright)
+            for y in (-0.03, -0.01, 0.01, 0.03)
+        ),
     ]
     for kind, size, pos, quat in solids:
         body.add_geom(type=kind, size=size, pos=pos, quat=quat, contype=0, conaffinity=0, rgba=SKIN)

@@ -22,8 +22,12 @@ FLOOR = -0.60  # m
 TURNTABLE_CENTRE, TURNTABLE_RADIUS, TURNTABLE_HEIGHT = (0.50, 0.0), 0.20, 0.02  # m
 TURNTABLE_TOP = TURNTABLE_HEIGHT + 0.001  # m; it stands clear of the belt
 BELT_GROUP = 1  # of what is seen: a renderer may draw the belt apart from the floor
-TIMESTEP = 0.002  # s; at 4 ms and more grasps that hold at 1 ms begin to slip (SIMULATION section 4)
-OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])  # MuJoCo's camera looks along -z with y up, the optical frame along +z
+TIMESTEP = (
+    0.002  # s; at 4 ms and more grasps that hold at 1 ms begin to slip (SIMULATION section 4)
+)
+OPTICAL = np.diag(
+    [1.0, -1.0, -1.0, 1.0]
+)  # MuJoCo's camera looks along -z with y up, the optical frame along +z
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +56,11 @@ def build(
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     o = spec.option
-    o.timestep, o.integrator, o.cone = TIMESTEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST, mujoco.mjtCone.mjCONE_ELLIPTIC
+    o.timestep, o.integrator, o.cone = (
+        TIMESTEP,
+        mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+        mujoco.mjtCone.mjCONE_ELLIPTIC,
+    )
     o.impratio = 10
     spec.stat.extent, spec.stat.center = 1.0, [0.5, 0, 0]
     spec.visual.map.znear, spec.visual.map.zfar = 0.01, 6.0
@@ -61,10 +69,23 @@ def build(
     largest = max([(c.intrinsics.width, c.intrinsics.height) for c in cameras] or [(640, 480)])
     spec.visual.global_.offwidth, spec.visual.global_.offheight = largest
     world = spec.worldbody
-    world.add_light(pos=[0.2, 0.5, 2.0], dir=[0.15, -0.25, -1], diffuse=[0.55] * 3, specular=[0.1] * 3, castshadow=False)
-    floor = world.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[3, 3, 0.1], pos=[0, 0, FLOOR], name="floor")
+    world.add_light(
+        pos=[0.2, 0.5, 2.0],
+        dir=[0.15, -0.25, -1],
+        diffuse=[0.55] * 3,
+        specular=[0.1] * 3,
+        castshadow=False,
+    )
+    floor = world.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[3, 3, 0.1], pos=[0, 0, FLOOR], name="floor"
+    )
     floor.material = add_ground(spec, "floor_look", (150, 148, 142))
-    belt = world.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[*BELT_HALF, 0.02], pos=[*BELT_CENTRE, -0.02], name="belt")
+    belt = world.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[*BELT_HALF, 0.02],
+        pos=[*BELT_CENTRE, -0.02],
+        name="belt",
+    )
     belt.material = add_ground(spec, "belt_look", (62, 66, 70))
     belt.group = BELT_GROUP
     belt.surfacevel = [0, belt_speed, 0, 0, 0, 0]
@@ -96,13 +117,21 @@ def build(
 
 def _add_turntable(spec: mujoco.MjSpec) -> None:
     """A disc on the table that a drive of speed turns about its axis."""
-    disc = spec.worldbody.add_body(name="turntable", pos=[*TURNTABLE_CENTRE, TURNTABLE_TOP - TURNTABLE_HEIGHT / 2], gravcomp=1)
+    disc = spec.worldbody.add_body(
+        name="turntable", pos=[*TURNTABLE_CENTRE, TURNTABLE_TOP - TURNTABLE_HEIGHT / 2], gravcomp=1
+    )
     disc.add_joint(name="turntable", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=1.0)
-    plate = disc.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[TURNTABLE_RADIUS, TURNTABLE_HEIGHT / 2, 0], mass=1.0)
+    plate = disc.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[TURNTABLE_RADIUS, TURNTABLE_HEIGHT / 2, 0],
+        mass=1.0,
+    )
     plate.name, plate.contype, plate.conaffinity, plate.condim = "turntable", 1, 3, 4
     plate.friction, plate.solref = [0.6, 0.005, 0.0001], [0.008, 1]
     plate.material = add_ground(spec, "turntable_look", (95, 88, 80))
-    drive = spec.add_actuator(name="turntable", target="turntable", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    drive = spec.add_actuator(
+        name="turntable", target="turntable", trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
     drive.set_to_velocity(kv=200.0)
 
 
@@ -112,14 +141,25 @@ def _add_flying_base(spec: mujoco.MjSpec) -> mujoco.MjsBody:
     handle.add_site(name="handle", size=[0.002] * 3, group=4)
     hand = spec.worldbody.add_body(name="hand_base")
     hand.add_freejoint(name="hand")
-    hand.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=2.0, contype=0, conaffinity=0, group=4)
+    hand.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[0.02, 0, 0],
+        mass=2.0,
+        contype=0,
+        conaffinity=0,
+        group=4,
+    )
     return hand
 
 
 def _weld_to_handle(spec: mujoco.MjSpec) -> None:
     """The hand is drawn after its handle softly (SIMULATION section 1)."""
     weld = spec.add_equality(
-        type=mujoco.mjtEq.mjEQ_WELD, name1="handle", name2="hand_base", objtype=mujoco.mjtObj.mjOBJ_BODY, solref=[0.01, 1]
+        type=mujoco.mjtEq.mjEQ_WELD,
+        name1="handle",
+        name2="hand_base",
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        solref=[0.01, 1],
     )
     data = np.zeros(len(weld.data))
     data[6], data[10] = 1.0, 0.3  # identity relative rotation, torque scale
@@ -127,19 +167,29 @@ def _weld_to_handle(spec: mujoco.MjSpec) -> None:
 
 
 def least_distance(
-    model: mujoco.MjModel, data: mujoco.MjData, ours: Sequence[int], theirs: Sequence[int], limit: float
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    ours: Sequence[int],
+    theirs: Sequence[int],
+    limit: float,
 ) -> float:
     """Least distance between two groups of geoms, m, at most `limit`."""
     best = limit
     for a in ours:
         for b in theirs:
-            gap = np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) - model.geom_rbound[a] - model.geom_rbound[b]
+            gap = (
+                np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b])
+                - model.geom_rbound[a]
+                - model.geom_rbound[b]
+            )
             if gap < best:
                 best = min(best, mujoco.mj_geomDistance(model, data, a, b, best, None))
     return float(best)
 
 
-def finger_forces(model: mujoco.MjModel, data: mujoco.MjData, names: dict[int, str], fingers: Sequence[str]) -> Array:
+def finger_forces(
+    model: mujoco.MjModel, data: mujoco.MjData, names: dict[int, str], fingers: Sequence[str]
+) -> Array:
     """Sum of normal contact forces on each finger, N; names: of the hand's geoms, whose first word is their finger."""
     out = np.zeros(len(fingers))
     force = np.zeros(6)

@@ -20,16 +20,35 @@ from dgeval.worlds.textures import Look
 LOOK = Look("mottled", (150, 150, 150))
 DENSITY = 350.0  # kg/m^3, of the household objects in SIMULATION section 7 (70 to 900); unknown from a log
 MASS_RANGE = (0.03, 0.60)  # kg
-BALL_RMS, BALL_SHARE = 0.002, 0.9  # m; residual of the best sphere, and share of points within three times that
-BOX_OFF, FACE_POINTS = 0.0016, 12  # m; mean distance from the faces of the best upright box; points that place a face
-RIM, RIM_OFF, WALL, OUTSIDE = 0.012, 0.005, 0.004, 0.007  # m; of vessels: the band that is fitted, how far from a circle
+BALL_RMS, BALL_SHARE = (
+    0.002,
+    0.9,
+)  # m; residual of the best sphere, and share of points within three times that
+BOX_OFF, FACE_POINTS = (
+    0.0016,
+    12,
+)  # m; mean distance from the faces of the best upright box; points that place a face
+RIM, RIM_OFF, WALL, OUTSIDE = (
+    0.012,
+    0.005,
+    0.004,
+    0.007,
+)  # m; of vessels: the band that is fitted, how far from a circle
 SMOOTHED = 0.010  # m; neighbourhood of a plane: 1.2 mm of noise, as hindsight has it, leaves hulls 0.5 to 1 mm too large
 LEAST_POINTS = 20
-CELL, LIKE_HEIGHT = 0.007, 0.008  # m; columns of hollow things, and heights that one column may stand for
-HOLLOW_DEPTH, HOLLOW_SHARE = 0.010, 0.12  # m under the hull's top; share of the footprint's cells that are lower
+CELL, LIKE_HEIGHT = (
+    0.007,
+    0.008,
+)  # m; columns of hollow things, and heights that one column may stand for
+HOLLOW_DEPTH, HOLLOW_SHARE = (
+    0.010,
+    0.12,
+)  # m under the hull's top; share of the footprint's cells that are lower
 
 
-def solid_from_cloud(points: Array, name: str = "cloud", held: bool = False) -> tuple[ObjectModel, Array]:
+def solid_from_cloud(
+    points: Array, name: str = "cloud", held: bool = False
+) -> tuple[ObjectModel, Array]:
     """Model and centre (3,) from points (n, 3) m in a frame with z up from the support's surface (z = 0).
 
     The model's frame has these axes and its origin at the centre, which is over the support by the model's rest height.
@@ -48,13 +67,18 @@ def solid_from_cloud(points: Array, name: str = "cloud", held: bool = False) -> 
         centre, radius = ball
         mass = _mass(4 / 3 * np.pi * radius**3)
         centre = np.array([centre[0], centre[1], radius])  # it stands on its support
-        return ObjectModel(name, mass, (Part("sphere", np.eye(4), (radius,)),), LOOK, rolls=True), centre
+        return ObjectModel(
+            name, mass, (Part("sphere", np.eye(4), (radius,)),), LOOK, rolls=True
+        ), centre
     box = _box(inliers)
     if box is not None:
         T, half = box
-        return ObjectModel(name, _mass(float(8 * np.prod(half))), (Part("box", _turned(T), tuple(half.tolist())),), LOOK), T[
-            :3, 3
-        ]
+        return ObjectModel(
+            name,
+            _mass(float(8 * np.prod(half))),
+            (Part("box", _turned(T), tuple(half.tolist())),),
+            LOOK,
+        ), T[:3, 3]
     inliers = _smoothed(inliers)
     parts = _columns(inliers)
     parts = (_vessel(inliers) or parts) if parts else (_hull(inliers),)
@@ -107,7 +131,10 @@ def _ball(points: Array) -> tuple[Array, float] | None:
     residual = np.abs(np.linalg.norm(points - x[:3], axis=1) - radius)
     # a ball on a table touches it: that tells a sphere from a bowl or a rounded box
     standing = abs(x[2] - radius) < 0.15 * radius
-    good = float(np.sqrt(np.mean(residual**2))) < BALL_RMS and float(np.mean(residual < 3 * BALL_RMS)) > BALL_SHARE
+    good = (
+        float(np.sqrt(np.mean(residual**2))) < BALL_RMS
+        and float(np.mean(residual < 3 * BALL_RMS)) > BALL_SHARE
+    )
     return (x[:3], radius) if good and standing and 0.01 < radius < 0.15 else None
 
 
@@ -164,7 +191,9 @@ def _hull(points: Array) -> Part:
         # MuJoCo needs no more; the farthest along many directions keep the shape
         k = np.arange(400) + 0.5
         polar, turn = np.arccos(1 - 2 * k / 400), np.pi * (1 + 5**0.5) * k
-        ways = np.column_stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)])
+        ways = np.column_stack(
+            [np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)]
+        )
         corners = corners[np.unique((corners @ ways.T).argmax(axis=0))]
     return Part("hull", np.eye(4), vertices=corners)
 
@@ -187,7 +216,11 @@ def _vessel(points: Array) -> tuple[Part, ...] | None:
         return None
     r = np.linalg.norm(points[:, :2] - x[:2], axis=1)
     wall = np.abs(r - radius) < 0.35 * radius
-    taper = float(np.clip(np.polyfit(points[wall, 2], r[wall], 1)[0], -0.3, 0.3)) if np.ptp(points[wall, 2]) > 0.02 else 0.0
+    taper = (
+        float(np.clip(np.polyfit(points[wall, 2], r[wall], 1)[0], -0.3, 0.3))
+        if np.ptp(points[wall, 2]) > 0.02
+        else 0.0
+    )
     r_bottom = radius - taper * (height - RIM / 2)
     r_top = radius + taper * RIM / 2
     parts = vessel("cloud", r_bottom + WALL / 2, r_top + WALL / 2, height, WALL, 1.0, LOOK).parts
@@ -235,5 +268,7 @@ def _columns(points: Array) -> tuple[Part, ...] | None:
             free[i:a, j:b] = False
             h = float(height[i:a, j:b].mean())
             x, y = low[0] + (i + a) / 2 * CELL, low[1] + (j + b) / 2 * CELL
-            parts.append(Part("box", at(x, y, h / 2), ((a - i) * CELL / 2, (b - j) * CELL / 2, h / 2)))
+            parts.append(
+                Part("box", at(x, y, h / 2), ((a - i) * CELL / 2, (b - j) * CELL / 2, h / 2))
+            )
     return tuple(parts) or None

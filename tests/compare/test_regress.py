@@ -19,7 +19,15 @@ from dgeval.compare.closed_loop import compare_campaigns
 from dgeval.compare.comparison import compare_runs
 from dgeval.compare.divergence import difference
 from dgeval.compare.output import as_html, as_json, as_markdown
-from dgeval.compare.paired import METRICS, answers, holm, mcnemar, signed_rank, trials_needed, walsh_interval
+from dgeval.compare.paired import (
+    METRICS,
+    answers,
+    holm,
+    mcnemar,
+    signed_rank,
+    trials_needed,
+    walsh_interval,
+)
 from dgeval.config import load_config
 from dgeval.errors import UsageError
 from dgeval.recording.manifest import find_trials
@@ -40,7 +48,9 @@ Dgeval = Callable[..., subprocess.CompletedProcess[str]]
 def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The beginning of one committed trial: 30 frames, nothing is grasped in them."""
     folder = tmp_path_factory.mktemp("short")
-    known = next(t for t in tomllib.loads((SMOKE / "ci-smoke.toml").read_text())["trial"] if t["id"] == NAME)
+    known = next(
+        t for t in tomllib.loads((SMOKE / "ci-smoke.toml").read_text())["trial"] if t["id"] == NAME
+    )
     shutil.copy(SMOKE / f"{NAME}.mcap", folder / "a.mcap")
     text = f'name = "short"\n[[trial]]\nid = "a"\nrecording = "a.mcap"\nframes = [0, 30]\nbbox = {known["bbox"]}\n'
     (folder / "short.toml").write_text(text)
@@ -49,7 +59,9 @@ def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run_of(manifest: Path, out: Path, *assignments: str) -> Run:
     config = load_config("dynamic", assignments)
-    finish_run(out, [replay_trial(s, config, out, None, True) for s in find_trials([manifest])], config)
+    finish_run(
+        out, [replay_trial(s, config, out, None, True) for s in find_trials([manifest])], config
+    )
     return read_run(out)
 
 
@@ -123,8 +135,13 @@ def test_last_bits_are_within_tolerance_and_more_is_not(before: Run, tmp_path: P
     def gone(frames: pd.DataFrame) -> None:
         frames.loc[9, "velocity_y"] = np.nan
 
-    assert compare_runs(before, edited(before, tmp_path / "a", slightly)).conclusion == "within tolerance"
-    for k, (change, frame, field) in enumerate(((clearly, 7, "feature_px"), (gone, 9, "velocity_y"))):
+    assert (
+        compare_runs(before, edited(before, tmp_path / "a", slightly)).conclusion
+        == "within tolerance"
+    )
+    for k, (change, frame, field) in enumerate(
+        ((clearly, 7, "feature_px"), (gone, 9, "velocity_y"))
+    ):
         c = compare_runs(before, edited(before, tmp_path / f"b{k}", change))
         assert c.first is not None
         assert (c.first.first.frame, c.first.first.field) == (frame, field)
@@ -135,9 +152,14 @@ def test_last_bits_are_within_tolerance_and_more_is_not(before: Run, tmp_path: P
 
 
 @pytest.mark.slow
-def test_grasps_by_ffhnet_in_place_of_the_recorded_ones(manifest: Path, before: Run, tmp_path: Path) -> None:
+def test_grasps_by_ffhnet_in_place_of_the_recorded_ones(
+    manifest: Path, before: Run, tmp_path: Path
+) -> None:
     """Named in the notes, in every frame that has a model, near the target, the same twice, and caught at `grasps`."""
-    once, again = (run_of(manifest, tmp_path / name, "grasps.source=ffhnet", "grasps.candidates=64") for name in "ab")
+    once, again = (
+        run_of(manifest, tmp_path / name, "grasps.source=ffhnet", "grasps.candidates=64")
+        for name in "ab"
+    )
     assert not compare_runs(once, again).differences
     assert "FFHNet with dgeval's own weights" in once.trials["notes"].iloc[0]
     frames = once.frames("a")
@@ -147,7 +169,8 @@ def test_grasps_by_ffhnet_in_place_of_the_recorded_ones(manifest: Path, before: 
     assert chosen["grasp_score"].between(0, 1).all()
     assert chosen["hand_score"].between(0, 1).all()
     near = (
-        chosen[["grasp_px", "grasp_py", "grasp_pz"]].to_numpy() - chosen[["feature_px", "feature_py", "feature_pz"]].to_numpy()
+        chosen[["grasp_px", "grasp_py", "grasp_pz"]].to_numpy()
+        - chosen[["feature_px", "feature_py", "feature_pz"]].to_numpy()
     )
     assert np.nanmax(np.linalg.norm(near.astype(float), axis=1)) < 0.35
     first = compare_runs(before, once).first
@@ -210,7 +233,9 @@ def test_the_gate_from_the_command_line(manifest: Path, dgeval: Dgeval, tmp_path
     }
     cases = {(name, c.name): c for name, s in suites.items() for c in s}
     assert "estimation" in cases["trials", "a"].system_out
-    assert isinstance(cases["metrics", "velocity_error"].result[0], Skipped) == (suites["metrics"].skipped > 0)
+    assert isinstance(cases["metrics", "velocity_error"].result[0], Skipped) == (
+        suites["metrics"].skipped > 0
+    )
     assert "can't tell" in cases["gate", "gate"].result[0].message
 
     # the verdict is told differently while every stage gives the same bytes: no metric sees that
@@ -328,7 +353,10 @@ def test_gate_gives_no_more_false_alarms_than_it_states() -> None:
 
 def test_campaigns_are_compared_on_equal_seeds_only(tmp_path: Path) -> None:
     for name, seed, ended in (("a", 0, "success"), ("b", 0, "failure"), ("c", 1, "success")):
-        rows = [{"id": f"t{k}", "verdict": {"outcome": ended if k < 7 else "success", "seed": seed}} for k in range(20)]
+        rows = [
+            {"id": f"t{k}", "verdict": {"outcome": ended if k < 7 else "success", "seed": seed}}
+            for k in range(20)
+        ]
         (tmp_path / name).mkdir()
         (tmp_path / name / "simulated.json").write_text(json.dumps({"simulated": rows}))
     said = compare_campaigns(tmp_path / "a", tmp_path / "b")

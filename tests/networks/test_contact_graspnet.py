@@ -11,7 +11,13 @@ import torch
 from dgeval.config import VfasConfig
 from dgeval.errors import UsageError
 from dgeval.geometry import increment, rotation_vector, transform
-from dgeval.networks.contact_graspnet import CENTRES, NEIGHBOURS, RADII, ContactGraspNet, load_contact_graspnet
+from dgeval.networks.contact_graspnet import (
+    CENTRES,
+    NEIGHBOURS,
+    RADII,
+    ContactGraspNet,
+    load_contact_graspnet,
+)
 from dgeval.planning.vfas.loop import evaluator_of, seed_from_cloud, seed_from_contacts
 from dgeval.planning.vfas.selection import GraspJudge
 from dgeval.robots.parallel_jaw import OPENING
@@ -90,7 +96,9 @@ def by_hand(state: dict[str, np.ndarray], points: np.ndarray) -> tuple[np.ndarra
         name = f"multihead.{h}.1"
         x = (x - state[f"{name}.running_mean"]) / np.sqrt(state[f"{name}.running_var"] + 1e-5)
         x = x * state[f"{name}.weight"] + state[f"{name}.bias"]
-        heads.append(x @ state[f"multihead.{h}.3.weight"][:, :, 0].T + state[f"multihead.{h}.3.bias"])
+        heads.append(
+            x @ state[f"multihead.{h}.3.weight"][:, :, 0].T + state[f"multihead.{h}.3.bias"]
+        )
     return xyz, *heads
 
 
@@ -123,7 +131,9 @@ def test_grasps_lie_between_the_jaws_whatever_the_origin() -> None:
     far = np.array([0.5, -0.3, 0.1])
     found = network.grasps(points + far)
     T = found.T_cloud_grasp
-    assert np.allclose(T[:, :3, 3] - width[:, None] / 2 * across, at + points.mean(0) + far, atol=1e-5)
+    assert np.allclose(
+        T[:, :3, 3] - width[:, None] / 2 * across, at + points.mean(0) + far, atol=1e-5
+    )
     assert np.allclose(T[:, :3, 2], approach, atol=1e-3)
     assert np.allclose(np.linalg.det(T[:, :3, :3]), 1.0, atol=1e-5)
     assert (found.width >= 0).all()
@@ -160,7 +170,9 @@ def test_installed_weights_find_grasps_on_the_packages_scene() -> None:
     package = importlib.util.find_spec("cgn_pytorch")
     if package is None or not package.submodule_search_locations:
         pytest.skip("cgn-pytorch is not installed")
-    scene = np.load(Path(package.submodule_search_locations[0]) / "scenes" / "002330.npz", allow_pickle=True)
+    scene = np.load(
+        Path(package.submodule_search_locations[0]) / "scenes" / "002330.npz", allow_pickle=True
+    )
     score = load_contact_graspnet().grasps(scene["arr_0"][0].astype(np.float64)).score
     assert int((score > 0.5).sum()) == pytest.approx(142, abs=3)
     assert score.max() == pytest.approx(0.995, abs=0.002)
@@ -170,8 +182,12 @@ def test_sampled_seed_holds_what_is_narrow() -> None:
     """A thin box standing on a table: the sampler's seed is on the box, across its thin side, and moves with the scene."""
     rng = np.random.default_rng(0)
     n = 3000
-    side = np.column_stack([rng.choice([-0.02, 0.02], n), rng.uniform(-0.05, 0.05, n), rng.uniform(0, 0.12, n)])
-    top = np.column_stack([rng.uniform(-0.02, 0.02, n), rng.uniform(-0.05, 0.05, n), np.full(n, 0.12)])
+    side = np.column_stack(
+        [rng.choice([-0.02, 0.02], n), rng.uniform(-0.05, 0.05, n), rng.uniform(0, 0.12, n)]
+    )
+    top = np.column_stack(
+        [rng.uniform(-0.02, 0.02, n), rng.uniform(-0.05, 0.05, n), np.full(n, 0.12)]
+    )
     table = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), np.zeros(n)])
     cloud = rng.permutation(np.concatenate([side, top, table]))
     judge = GraspJudge(evaluator_of(None), VfasConfig())

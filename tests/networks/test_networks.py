@@ -18,7 +18,14 @@ from dgeval.geometry import Array, increment
 from dgeval.networks import checkpoints
 from dgeval.networks.bps import basis, encode
 from dgeval.networks.checkpoints import LEVELS, read_weights
-from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_evaluator, load_generator, matrix_from_6d
+from dgeval.networks.ffhnet import (
+    FFHEvaluator,
+    FFHGenerator,
+    Palms,
+    load_evaluator,
+    load_generator,
+    matrix_from_6d,
+)
 from dgeval.planning.execution import execute
 from dgeval.planning.grasps import encode_cloud, evaluate, free_of, networks_of, propose, way_free
 from dgeval.planning.hand_overlap import standing_points
@@ -45,13 +52,17 @@ def filled(network: nn.Module, scale: float = 0.3) -> Any:
         if tensor.dtype.is_floating_point:
             rng = np.random.default_rng(int(hashlib.sha256(name.encode()).hexdigest()[:8], 16))
             value = rng.normal(0, scale, tensor.shape)
-            tensor.copy_(torch.from_numpy(np.abs(value) + 0.5 if name.endswith("running_var") else value))
+            tensor.copy_(
+                torch.from_numpy(np.abs(value) + 0.5 if name.endswith("running_var") else value)
+            )
     return network.eval()
 
 
 def some(n: int, n_bps: int) -> tuple[Tensor, Palms]:
     torch.manual_seed(3)
-    return torch.rand(1, n_bps) * 0.3, Palms(matrix_from_6d(torch.randn(n, 6)), 0.1 * torch.randn(n, 3), torch.rand(n, 15))
+    return torch.rand(1, n_bps) * 0.3, Palms(
+        matrix_from_6d(torch.randn(n, 6)), 0.1 * torch.randn(n, 3), torch.rand(n, 15)
+    )
 
 
 # clouds
@@ -95,12 +106,17 @@ class Reference:
 
     def norm(self, name: str, x: Array) -> Array:
         mean, var = self.w[f"{name}.running_mean"], self.w[f"{name}.running_var"]
-        return np.asarray((x - mean) / np.sqrt(var + 1e-5) * self.w[f"{name}.weight"] + self.w[f"{name}.bias"])
+        return np.asarray(
+            (x - mean) / np.sqrt(var + 1e-5) * self.w[f"{name}.weight"] + self.w[f"{name}.bias"]
+        )
 
     def block(self, name: str, x: Array) -> Array:
         skip = leaky(self.linear(f"{name}.fc3", x))
         main = self.norm(
-            f"{name}.bn2", self.linear(f"{name}.fc2", leaky(self.norm(f"{name}.bn1", self.linear(f"{name}.fc1", x))))
+            f"{name}.bn2",
+            self.linear(
+                f"{name}.fc2", leaky(self.norm(f"{name}.bn1", self.linear(f"{name}.fc1", x)))
+            ),
         )
         return leaky(skip + main)
 
@@ -111,14 +127,20 @@ def test_generator_is_as_described() -> None:
     ref = Reference(network)
     whole = np.tile(bps.numpy().astype(float), (7, 1))
     x = ref.norm(
-        "enc_bn1", np.concatenate([whole, palms.rotation.numpy().reshape(7, 9), palms.translation, palms.joints], axis=1)
+        "enc_bn1",
+        np.concatenate(
+            [whole, palms.rotation.numpy().reshape(7, 9), palms.translation, palms.joints], axis=1
+        ),
     )
     code = ref.block("enc_rb2", np.concatenate([x, ref.block("enc_rb1", x)], axis=1))
     z = torch.randn(7, 5)
     x0 = np.concatenate([z.numpy(), ref.norm("dec_bn1", whole)], axis=1)
     out = ref.block("dec_rb2", np.concatenate([x0, ref.block("dec_rb1", x0)], axis=1))
     with torch.no_grad():
-        for given_bps in (bps, bps.expand(7, -1)):  # the cloud's share multiplied once, or for every candidate
+        for given_bps in (
+            bps,
+            bps.expand(7, -1),
+        ):  # the cloud's share multiplied once, or for every candidate
             mu, logvar = network.encode(given_bps, palms)
             np.testing.assert_allclose(mu, ref.linear("enc_mu", code), atol=1e-5)
             np.testing.assert_allclose(logvar, ref.linear("enc_logvar", code), atol=1e-5)
@@ -137,7 +159,11 @@ def test_evaluator_is_as_described(joints: bool) -> None:
     network = filled(FFHEvaluator(*SIZE, joints=joints), 0.2)
     bps, palms = some(7, SIZE[0])
     ref = Reference(network)
-    parts = [np.tile(bps.numpy().astype(float), (7, 1)), palms.rotation.numpy().reshape(7, 9), palms.translation.numpy()]
+    parts = [
+        np.tile(bps.numpy().astype(float), (7, 1)),
+        palms.rotation.numpy().reshape(7, 9),
+        palms.translation.numpy(),
+    ]
     x = ref.norm("bn1", np.concatenate([*parts, palms.joints.numpy()] if joints else parts, axis=1))
     out = ref.block("rb1", x)
     for name in ("rb2", "rb3"):  # what came before stands first here, last in the generator
@@ -147,7 +173,9 @@ def test_evaluator_is_as_described(joints: bool) -> None:
         for given_bps in (bps, bps.expand(7, -1)):
             np.testing.assert_allclose(network(given_bps, palms), expected, atol=1e-5)
         other = network(bps, Palms(palms.rotation, palms.translation, palms.joints + 0.3))
-    assert bool(np.abs(other.numpy() - expected).max() > 1e-3) == joints  # the published one is blind to the fingers
+    assert (
+        bool(np.abs(other.numpy() - expected).max() > 1e-3) == joints
+    )  # the published one is blind to the fingers
 
 
 def test_published_sizes() -> None:
@@ -157,7 +185,10 @@ def test_published_sizes() -> None:
     shapes = {k: tuple(v.shape) for k, v in generator.state_dict().items()}
     assert shapes["enc_rb2.fc3.weight"] == (512, 4635)
     assert shapes["dec_rb1.fc1.weight"] == (256, 4101)
-    assert {k: tuple(v.shape) for k, v in evaluator.state_dict().items()}["rb3.fc1.weight"] == (256, 4620)
+    assert {k: tuple(v.shape) for k, v in evaluator.state_dict().items()}["rb3.fc1.weight"] == (
+        256,
+        4620,
+    )
 
 
 @settings(max_examples=30, deadline=None)
@@ -198,7 +229,9 @@ def test_the_authors_containers_load(tmp_path: Path, legacy: bool) -> None:
     loaded = load_generator(path)
     z, (bps, _) = torch.randn(4, 5), some(1, SIZE[0])
     with torch.no_grad():
-        np.testing.assert_allclose(loaded.decode(z, bps).joints, network.decode(z, bps).joints, atol=1e-6)
+        np.testing.assert_allclose(
+            loaded.decode(z, bps).joints, network.decode(z, bps).joints, atol=1e-6
+        )
 
     path.write_bytes(path.read_bytes()[:-3000])
     with pytest.raises(UsageError, match=r"can't be read|safe to read"):
@@ -208,7 +241,9 @@ def test_the_authors_containers_load(tmp_path: Path, legacy: bool) -> None:
 
 
 @pytest.mark.parametrize("legacy", [False, True])
-def test_a_checkpoint_runs_nothing(tmp_path: Path, legacy: bool, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_checkpoint_runs_nothing(
+    tmp_path: Path, legacy: bool, capfd: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "bad.pt"
     torch.save(
         {"ffhevaluator_state_dict": {"bn1.weight": torch.ones(3)}, "more": Runs()},
@@ -223,11 +258,15 @@ def test_a_checkpoint_runs_nothing(tmp_path: Path, legacy: bool, capfd: pytest.C
         read_weights(tmp_path / "plain.pt")
 
 
-def test_a_published_file_is_known_by_its_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_published_file_is_known_by_its_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     known, other = tmp_path / "a.pt", tmp_path / "b.pt"
     known.write_bytes(b"published")
     other.write_bytes(b"publishes")
-    monkeypatch.setitem(checkpoints.PUBLISHED, hashlib.sha256(b"published").hexdigest(), "the published one")
+    monkeypatch.setitem(
+        checkpoints.PUBLISHED, hashlib.sha256(b"published").hexdigest(), "the published one"
+    )
     assert checkpoints.published(known) == "the published one"
     assert checkpoints.published(other) is None
 
@@ -262,7 +301,9 @@ def half_shell(seed: int = 0) -> Array:
     angle, height = rng.uniform(0, 2 * np.pi, 1500), rng.uniform(0.0, 0.12, 1500)
     side = np.stack([0.035 * np.cos(angle), 0.035 * np.sin(angle), 0.4 + height], axis=1)
     r, turn = 0.035 * np.sqrt(rng.uniform(0, 1, 700)), rng.uniform(0, 2 * np.pi, 700)
-    return np.concatenate([side[:800], np.stack([r * np.cos(turn), r * np.sin(turn), np.full(700, 0.4)], axis=1)])
+    return np.concatenate(
+        [side[:800], np.stack([r * np.cos(turn), r * np.sin(turn), np.full(700, 0.4)], axis=1)]
+    )
 
 
 def test_grasps_go_along_with_the_cloud_and_repeat() -> None:
@@ -271,20 +312,32 @@ def test_grasps_go_along_with_the_cloud_and_repeat() -> None:
     here = propose(encode_cloud(cloud, networks), networks, 64, 0, 5)
     again = propose(encode_cloud(cloud, networks), networks, 64, 0, 5)
     np.testing.assert_array_equal(here.T_cloud_palm, again.T_cloud_palm)
-    assert np.abs(propose(encode_cloud(cloud, networks), networks, 64, 0, 6).T_cloud_palm - here.T_cloud_palm).max() > 1e-3
+    assert (
+        np.abs(
+            propose(encode_cloud(cloud, networks), networks, 64, 0, 6).T_cloud_palm
+            - here.T_cloud_palm
+        ).max()
+        > 1e-3
+    )
     step = np.array([0.1, -0.05, 0.2])
     there = propose(encode_cloud(cloud + step, networks), networks, 64, 0, 5)
-    np.testing.assert_allclose(there.T_cloud_palm[:, :3, 3], here.T_cloud_palm[:, :3, 3] + step, atol=1e-5)
+    np.testing.assert_allclose(
+        there.T_cloud_palm[:, :3, 3], here.T_cloud_palm[:, :3, 3] + step, atol=1e-5
+    )
     np.testing.assert_allclose(there.scores, here.scores, atol=1e-4)
     # the score of a candidate's own pose is the candidate's score
     encoded = encode_cloud(cloud, networks)
-    np.testing.assert_allclose(evaluate(encoded, networks, here.T_cloud_palm, here.joints), here.scores, atol=1e-5)
+    np.testing.assert_allclose(
+        evaluate(encoded, networks, here.T_cloud_palm, here.joints), here.scores, atol=1e-5
+    )
 
 
 def test_the_far_side_of_what_stands_is_not_free() -> None:
     """Catches a hand in the part of an object that the camera never saw, and the plane's side taken wrongly."""
     rng = np.random.default_rng(0)
-    top = np.column_stack([rng.uniform(-0.05, 0.05, (800, 2)), np.full(800, 0.10)])  # a block 10 cm high, seen from above
+    top = np.column_stack(
+        [rng.uniform(-0.05, 0.05, (800, 2)), np.full(800, 0.10)]
+    )  # a block 10 cm high, seen from above
     normal, offset = np.array([0.0, 0.0, 1.0]), 0.0
     under = standing_points(top, normal, offset)
     assert under[:, 2].min() > 0.0
@@ -294,7 +347,9 @@ def test_the_far_side_of_what_stands_is_not_free() -> None:
     inside = rng.uniform([-0.045, -0.045, 0.01], [0.045, 0.045, 0.08], (200, 3))
     assert cKDTree(under).query(inside)[0].max() < 0.012
     turned = Rotation.from_euler("xyz", [0.4, -0.3, 1.0]).as_matrix()
-    again = standing_points(top @ turned.T + 0.3, turned @ normal, offset + 0.3 * float((turned @ normal).sum()))
+    again = standing_points(
+        top @ turned.T + 0.3, turned @ normal, offset + 0.3 * float((turned @ normal).sum())
+    )
     height = (again - 0.3) @ turned @ normal
     assert height.min() > 0.0
     assert height.max() < 0.10
@@ -303,7 +358,9 @@ def test_the_far_side_of_what_stands_is_not_free() -> None:
     drawn = propose(encode_cloud(cloud, networks), networks, 256, 0, 5)
     plane = (np.array([0.0, 0.0, -1.0]), -0.52)  # z points down; the table is 12 cm below the top
     before, after = (
-        free_of(encode_cloud(cloud, networks, support), drawn.T_cloud_palm, drawn.joints, plane, 0.004)
+        free_of(
+            encode_cloud(cloud, networks, support), drawn.T_cloud_palm, drawn.joints, plane, 0.004
+        )
         for support in (None, plane)
     )
     assert not (after & ~before).any()
@@ -319,11 +376,19 @@ def test_the_way_to_a_grasp_through_the_object_is_not_free() -> None:
     pose[0, 3] = 0.30  # well beside the block
     joints, config = np.zeros(15), GraspsConfig(way_m=0.06)
     assert free_of(cloud, pose[None], joints[None], None, 0.004).all()
-    assert way_free(cloud, pose, joints, np.array([0.6, 0.0, 0.0]), None, config)  # from its own side
-    assert way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, config)  # 6 cm nearer to the block is still free
+    assert way_free(
+        cloud, pose, joints, np.array([0.6, 0.0, 0.0]), None, config
+    )  # from its own side
+    assert way_free(
+        cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, config
+    )  # 6 cm nearer to the block is still free
     through = config.model_copy(update={"way_m": 0.45})
-    assert not way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, through)  # a step of it lies in the block
-    assert way_free(cloud, pose, joints, np.array([0.25, 0.0, 0.0]), None, through)  # no farther than where the hand is
+    assert not way_free(
+        cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, through
+    )  # a step of it lies in the block
+    assert way_free(
+        cloud, pose, joints, np.array([0.25, 0.0, 0.0]), None, through
+    )  # no farther than where the hand is
     assert way_free(cloud, pose, joints, pose[:3, 3], None, through)
     assert way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, GraspsConfig())
 
@@ -351,15 +416,21 @@ def test_upright_grasps_do_not_turn_with_the_camera(upright: bool) -> None:
     cloud = T_base_object[:3, 3] + np.array([1, -1, -1]) * (half_shell() - [0, 0, 0.44])
     for tilt in (0.0, 60.0):
         T_base_camera = np.eye(4)
-        T_base_camera[:3, :3] = Rotation.from_euler("xz", [180 + tilt, 40], degrees=True).as_matrix()
+        T_base_camera[:3, :3] = Rotation.from_euler(
+            "xz", [180 + tilt, 40], degrees=True
+        ).as_matrix()
         T_base_camera[:3, 3] = (0.5, 0.1, 0.5)
-        proposals = source.propose(0, Sight(T_base_object, cloud), T_base_object, T_base_camera, None)
+        proposals = source.propose(
+            0, Sight(T_base_object, cloud), T_base_object, T_base_camera, None
+        )
         assert proposals is not None
         free = proposals.free(np.arange(len(proposals.scores)))
         held.append((proposals.T_object_palm, proposals.scores, free))
         # the score of a candidate's own pose is the candidate's, whatever the axes
         k = int(np.argmax(proposals.scores))
-        own = source.score(proposals, k, T_base_object, T_base_object @ proposals.T_object_palm[k], np.eye(4))
+        own = source.score(
+            proposals, k, T_base_object, T_base_object @ proposals.T_object_palm[k], np.eye(4)
+        )
         assert own == pytest.approx(proposals.scores[k], abs=1e-4)
     (first, _, free), (second, _, also) = held
     assert np.allclose(first, second, atol=1e-6) == upright
@@ -409,11 +480,20 @@ def test_what_is_not_in_the_paper_is_named() -> None:
 def test_a_hand_on_its_way_is_not_executed() -> None:
     """Ours: at the grasp alone; by score alone, as the paper, where no distance is set. Catches degrees for radians."""
     T = np.eye(4)
-    near, far, turned = increment(np.array([0.007, 0, 0, 0, 0, 0])), increment(np.array([0.009, 0, 0, 0, 0, 0])), np.eye(4)
+    near, far, turned = (
+        increment(np.array([0.007, 0, 0, 0, 0, 0])),
+        increment(np.array([0.009, 0, 0, 0, 0, 0])),
+        np.eye(4),
+    )
     turned[:3, :3] = Rotation.from_euler("y", 7, degrees=True).as_matrix()
     paper, ours = ExecutionConfig(c_e=0.5), ExecutionConfig(c_e=0.5, arrived_m=0.008)
     assert [execute(0.6, paper, p, T) for p in (near, far, turned, None)] == [True] * 4
-    assert [execute(0.6, ours, p, T) for p in (near, far, turned, None)] == [True, False, False, None]
+    assert [execute(0.6, ours, p, T) for p in (near, far, turned, None)] == [
+        True,
+        False,
+        False,
+        None,
+    ]
     assert execute(0.5, ours, near, T) is False
     assert execute(None, paper, near, T) is None
 
@@ -426,5 +506,9 @@ def test_whole_steps_keep_the_weights(tmp_path: Path) -> None:
     loaded = load_evaluator(tmp_path / "ffhnet_evaluator.safetensors")
     assert loaded.upright
     for name, tensor in network.state_dict().items():
-        tolerance = 0.5 / LEVELS * tensor.abs().amax(1, keepdim=True) if tensor.ndim == 2 else torch.zeros(1)
+        tolerance = (
+            0.5 / LEVELS * tensor.abs().amax(1, keepdim=True)
+            if tensor.ndim == 2
+            else torch.zeros(1)
+        )
         assert ((loaded.state_dict()[name] - tensor).abs() <= tolerance * 1.001).all(), name

@@ -41,7 +41,9 @@ from small_gicp import KdTree
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
 
 
-def at(x: float = 0, y: float = 0, z: float = 0, rotvec: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
+def at(
+    x: float = 0, y: float = 0, z: float = 0, rotvec: tuple[float, float, float] = (0, 0, 0)
+) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(rotvec).as_matrix()
     T[:3, 3] = (x, y, z)
@@ -55,10 +57,14 @@ def at(x: float = 0, y: float = 0, z: float = 0, rotvec: tuple[float, float, flo
 def test_signed_distances_against_sampling(p: list[float]) -> None:
     """A box and a cylinder against the distance to points sampled on their surface; sphere and capsule in closed form."""
     q = np.array([p])
-    assert signed_distance(LinkShape("l", "sphere", np.eye(4), (0.1,)), q)[0] == pytest.approx(np.linalg.norm(q) - 0.1)
+    assert signed_distance(LinkShape("l", "sphere", np.eye(4), (0.1,)), q)[0] == pytest.approx(
+        np.linalg.norm(q) - 0.1
+    )
     axial = max(abs(p[2]) - 0.1, 0.0)
     want = np.hypot(np.hypot(p[0], p[1]), axial) - 0.05
-    assert signed_distance(LinkShape("l", "capsule", np.eye(4), (0.05, 0.1)), q)[0] == pytest.approx(want)
+    assert signed_distance(LinkShape("l", "capsule", np.eye(4), (0.05, 0.1)), q)[
+        0
+    ] == pytest.approx(want)
     half = np.array([0.1, 0.05, 0.08])
     clipped = np.clip(q, -half, half)
     got = signed_distance(LinkShape("l", "box", np.eye(4), tuple(half)), q)[0]
@@ -66,7 +72,9 @@ def test_signed_distances_against_sampling(p: list[float]) -> None:
     assert got == pytest.approx(outside if outside > 0 else -float((half - np.abs(q)).min()))
     radial, height = np.hypot(p[0], p[1]) - 0.06, abs(p[2]) - 0.09
     want = np.hypot(max(radial, 0), max(height, 0)) + min(max(radial, height), 0)
-    assert signed_distance(LinkShape("l", "cylinder", np.eye(4), (0.06, 0.09)), q)[0] == pytest.approx(want)
+    assert signed_distance(LinkShape("l", "cylinder", np.eye(4), (0.06, 0.09)), q)[
+        0
+    ] == pytest.approx(want)
 
 
 def test_hull_is_its_planes() -> None:
@@ -121,7 +129,9 @@ def test_observation_keeps_what_is_near_the_median_depth() -> None:
     frame = Frame(0, 0, np.zeros((240, 320, 3), np.uint8), depth, CAMERA, None, None)
     mask = np.ones((40, 40), dtype=bool)
     tracked = Tracked("tracked", window=(90, 90, 130, 130), mask=mask, mask_area=1600)
-    seen = observe(frame, tracked, generator(0, "observation", 0), ObservationConfig(max_points=5000))
+    seen = observe(
+        frame, tracked, generator(0, "observation", 0), ObservationConfig(max_points=5000)
+    )
     assert seen is not None
     assert sorted({round(float(z), 2) for z in seen.points[:, 2]}) == [0.5, 0.59]
     assert len(seen.points) == 1400
@@ -129,13 +139,18 @@ def test_observation_keeps_what_is_near_the_median_depth() -> None:
     assert few is not None
     assert len(few.points) == 300
     assert np.median(few.normals[np.linalg.norm(few.normals, axis=1) > 0.5][:, 2]) < -0.99
-    assert observe(frame, tracked, generator(0, "observation", 0), ObservationConfig(min_points=1500)) is None
+    assert (
+        observe(frame, tracked, generator(0, "observation", 0), ObservationConfig(min_points=1500))
+        is None
+    )
 
 
 # alignment and registration
 
 
-def box_cloud(rng: np.random.Generator, n: int, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def box_cloud(
+    rng: np.random.Generator, n: int, noise: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     half = np.array([0.08, 0.05, 0.035])
     normals, points = [], []
     for axis, sign in ((0, -1), (1, -1), (2, -1)):
@@ -156,7 +171,12 @@ def test_backends_recover_a_known_motion(name: str) -> None:
     centre = at(z=0.6)
     T_camera_model = centre @ at(0.003, -0.003, 0.0025, (0.02, -0.02, 0.02)) @ invert(centre)
     try:
-        T = BACKENDS[name](transform(T_camera_model, source), Model(target, normals), np.eye(4), RegistrationConfig())
+        T = BACKENDS[name](
+            transform(T_camera_model, source),
+            Model(target, normals),
+            np.eye(4),
+            RegistrationConfig(),
+        )
     except MissingDependencyError as error:
         pytest.skip(str(error))
     off = invert(T) @ invert(T_camera_model)
@@ -177,7 +197,11 @@ def test_alignment_steps_reach_the_true_pose() -> None:
     T = np.eye(4)
     for _ in range(12):
         H, g, used = align.depth_normal_equations(
-            transform(T, points), transform(truth, points), normals @ T[:3, :3].T, np.full(len(points), 0.001), 0.05
+            transform(T, points),
+            transform(truth, points),
+            normals @ T[:3, :3].T,
+            np.full(len(points), 0.001),
+            0.05,
         )
         T = align.solve(H, g) @ T
     assert used == len(points)
@@ -214,7 +238,9 @@ def test_gate_fitness_sees_the_shift_that_plain_fitness_does_not() -> None:
     distance = np.sqrt(tree.batch_nearest_neighbor_search(moved.points)[1])
     assert (distance < 0.02).mean() > 0.99
     assert (distance < 0.005).mean() < 0.5
-    result = register(Observation(points[::3], normals[::3]), Model(points, normals), np.eye(4), None, CAMERA, c)
+    result = register(
+        Observation(points[::3], normals[::3]), Model(points, normals), np.eye(4), None, CAMERA, c
+    )
     assert result.gate_fitness > 0.99
 
 
@@ -260,9 +286,12 @@ def test_observations_are_put_into_the_model_frame() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sigma_a", "rmse_mm", "to_90", "drift_mm"), [(0.1, 4.5, 0.54, 2.3), (0.3, 10.5, 0.31, 5.2), (1.0, 25.9, 0.18, 13.0)]
+    ("sigma_a", "rmse_mm", "to_90", "drift_mm"),
+    [(0.1, 4.5, 0.54, 2.3), (0.3, 10.5, 0.31, 5.2), (1.0, 25.9, 0.18, 13.0)],
 )
-def test_velocity_filter_reproduces_the_measured_table(sigma_a: float, rmse_mm: float, to_90: float, drift_mm: float) -> None:
+def test_velocity_filter_reproduces_the_measured_table(
+    sigma_a: float, rmse_mm: float, to_90: float, drift_mm: float
+) -> None:
     """PAPERS section 7 (30 Hz, 4 mm noise, 0.2 m/s from t = 1 s), within 20 %."""
     errors, reach, drift = [], [], []
     for trial in range(120):
@@ -316,7 +345,9 @@ def test_filter_survives_equal_stamps_and_long_pauses() -> None:
 def test_of_two_equal_grasps_the_nearer_wins() -> None:
     far_and_near = np.array([at(x=0.3), at(x=0.1)])
     for literal, first in ((False, 1), (True, 0)):
-        metric = grasp_metric(far_and_near, np.array([0.8, 0.8]), np.eye(4), SelectionConfig(literal_eq5=literal))
+        metric = grasp_metric(
+            far_and_near, np.array([0.8, 0.8]), np.eye(4), SelectionConfig(literal_eq5=literal)
+        )
         assert by_metric(metric)[0] == first
 
 
@@ -334,8 +365,12 @@ def test_the_grasp_chosen_last_is_kept_until_another_is_better_by_the_margin() -
     assert by_metric(metric, 0.3).tolist() == [2, 1, 0]
     assert metric.tolist() == [0.5, 0.64, 0.4]
     # it alone may lie deeper in a cloud whose noise has changed
-    assert overlap_allowed(np.array([0, 2]), 3, True, 0.004).tolist() == pytest.approx([0.004, 0.010])
-    assert overlap_allowed(np.array([0, 2]), 3, False, 0.004).tolist() == pytest.approx([0.004, 0.004])
+    assert overlap_allowed(np.array([0, 2]), 3, True, 0.004).tolist() == pytest.approx(
+        [0.004, 0.010]
+    )
+    assert overlap_allowed(np.array([0, 2]), 3, False, 0.004).tolist() == pytest.approx(
+        [0.004, 0.004]
+    )
 
 
 def test_servo_law_at_rest_is_proportional_plus_velocity() -> None:
@@ -344,7 +379,10 @@ def test_servo_law_at_rest_is_proportional_plus_velocity() -> None:
     command = servo.step(0, at(), at(x=0.04, rotvec=(0, 0, 0.2)), at(), np.array([0, 0, 1.0]), v)
     assert np.allclose(command.twist[:3], [0.04 + 0.05, 0, 0])
     assert np.allclose(command.twist[3:], [0, 0, 2.5 * 0.2])
-    assert (command.error_linear, command.error_angular) == (pytest.approx(0.04), pytest.approx(0.2))
+    assert (command.error_linear, command.error_angular) == (
+        pytest.approx(0.04),
+        pytest.approx(0.2),
+    )
 
 
 def test_a_hand_sent_beyond_the_grasp_does_not_creep_up_to_it() -> None:
@@ -361,7 +399,9 @@ def test_a_hand_sent_beyond_the_grasp_does_not_creep_up_to_it() -> None:
 def test_servo_derivative_is_filtered_and_damps_a_growing_error() -> None:
     servo = Servo(ServoConfig())
     for k in range(200):
-        command = servo.step(round(k * 1e7), at(), at(x=0.01 + 0.001 * k * 0.1), None, np.zeros(3), np.zeros(3))
+        command = servo.step(
+            round(k * 1e7), at(), at(x=0.01 + 0.001 * k * 0.1), None, np.zeros(3), np.zeros(3)
+        )
     assert command.twist[0] == pytest.approx(0.01 + 0.0199 + 2.0 * 0.01, rel=0.02)
 
 
@@ -394,4 +434,6 @@ def test_latency_delays_by_whole_frames() -> None:
 
 
 def test_pose_helper_is_right_handed() -> None:
-    assert np.linalg.det(matrix_from_pose(np.array([0, 0, 0, 0.1, 0.2, 0.3, 0.9]))[:3, :3]) == pytest.approx(1)
+    assert np.linalg.det(
+        matrix_from_pose(np.array([0, 0, 0, 0.1, 0.2, 0.3, 0.9]))[:3, :3]
+    ) == pytest.approx(1)

@@ -33,16 +33,23 @@ def at(x: float, y: float, z: float, yaw: float = 0.0) -> np.ndarray:
 
 # looking down at the table, a little tilted
 T_BASE_CAMERA = at(0, 0, 0.6) @ np.vstack(
-    [np.hstack([Rotation.from_rotvec([np.pi - 0.35, 0, 0]).as_matrix(), np.zeros((3, 1))]), [0, 0, 0, 1]]
+    [
+        np.hstack([Rotation.from_rotvec([np.pi - 0.35, 0, 0]).as_matrix(), np.zeros((3, 1))]),
+        [0, 0, 0, 1],
+    ]
 )
 
 
 def world(seed: int = 0) -> tuple[Scene, Box]:
     rng = np.random.default_rng(seed)
-    return Scene(speckle(rng, (120, 110, 100), 14)), Box(HALF, [printed(rng, (60, 110, 170)) for _ in range(6)])
+    return Scene(speckle(rng, (120, 110, 100), 14)), Box(
+        HALF, [printed(rng, (60, 110, 170)) for _ in range(6)]
+    )
 
 
-def make(n: int, path: Any, hand: Any = None, no_depth: Any = lambda k: False) -> tuple[list[Frame], list[tuple[float, ...]]]:
+def make(
+    n: int, path: Any, hand: Any = None, no_depth: Any = lambda k: False
+) -> tuple[list[Frame], list[tuple[float, ...]]]:
     """Frames of a box that follows `path(k)` (T_base_object) under a resting camera, and its true visible boxes."""
     rng = np.random.default_rng(1)
     scene, box = world()
@@ -56,12 +63,18 @@ def make(n: int, path: Any, hand: Any = None, no_depth: Any = lambda k: False) -
             shapes = [(shape, invert(T_BASE_CAMERA) @ hand(k))]
         colour, depth, ids = render(scene, CAMERA, T_BASE_CAMERA)
         v, u = np.nonzero(ids == 0)
-        boxes.append((float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)) if len(u) else (0, 0, 0, 0))
+        boxes.append(
+            (float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1))
+            if len(u)
+            else (0, 0, 0, 0)
+        )
         colour, millimetres = add_noise(rng, colour, depth)
         metres = millimetres.astype(np.float32) * np.float32(0.001)
         if no_depth(k):
             metres[ids == 0] = 0.0
-        frames.append(Frame(k, 10**15 + k * PERIOD_NS, colour, metres, CAMERA, T_BASE_CAMERA, None, shapes))
+        frames.append(
+            Frame(k, 10**15 + k * PERIOD_NS, colour, metres, CAMERA, T_BASE_CAMERA, None, shapes)
+        )
     return frames, boxes
 
 
@@ -104,7 +117,9 @@ def test_boxes_are_those_of_the_target(sliding: Any) -> None:
         a = step.tracked.box
         assert a is not None
         w, h = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
-        overlaps.append(w * h / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - w * h))
+        overlaps.append(
+            w * h / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - w * h)
+        )
     assert np.mean(overlaps) > 0.9
 
 
@@ -144,7 +159,9 @@ def test_a_touching_finger_is_not_part_of_the_target() -> None:
     box = (x0 - 4, y0 - 4, x1 + 4, y1 + 12)
     for known, bound in ((True, lambda share: share < 0.01), (False, lambda share: share > 0.02)):
         shown = frames if known else [Frame(**{**f.__dict__, "hand": None}) for f in frames]
-        tracked = ModelTracker(load_config()).step(TrackingInput(shown[0], box, None, None, None, False))
+        tracked = ModelTracker(load_config()).step(
+            TrackingInput(shown[0], box, None, None, None, False)
+        )
         assert tracked.mask is not None
         assert tracked.window is not None
         window = tracked.window

@@ -83,14 +83,27 @@ def test_neighbours_are_the_first_in_order_and_filled_up() -> None:
 def test_crop_is_in_the_grasp_frame() -> None:
     """Catches an inverted transform and a box that is not the paper's."""
     T = increment(np.array([0.3, -0.1, 0.2, 0.4, 0.2, -1.0]))
-    local = np.array([[0.09, 0.04, -0.09], [0.11, 0, 0], [0, 0.06, 0], [0, 0, 0.04], [0, 0, -0.11], [-0.09, -0.04, 0.02]])
+    local = np.array(
+        [
+            [0.09, 0.04, -0.09],
+            [0.11, 0, 0],
+            [0, 0.06, 0],
+            [0, 0, 0.04],
+            [0, 0, -0.11],
+            [-0.09, -0.04, 0.02],
+        ]
+    )
     cloud = local @ T[:3, :3].T + T[:3, 3]
-    points, counts = crop(cloud, np.linalg.inv(T)[None], np.array([-0.1, -0.05, -0.1]), np.array([0.1, 0.05, 0.03]), 4)
+    points, counts = crop(
+        cloud, np.linalg.inv(T)[None], np.array([-0.1, -0.05, -0.1]), np.array([0.1, 0.05, 0.03]), 4
+    )
     assert counts[0] == 2
     assert np.allclose(points[0], local[[0, 5, 0, 5]], atol=1e-6)
 
 
-def reference(network: GraspEvaluator, scene: np.ndarray, gripper: np.ndarray) -> tuple[float, float]:
+def reference(
+    network: GraspEvaluator, scene: np.ndarray, gripper: np.ndarray
+) -> tuple[float, float]:
     """The network for one grasp in plain numpy, from PAPERS 4.1: no factoring, no folding, relative coordinates formed."""
     s = network.sizes
     w = {k: v.double().numpy() for k, v in network.state_dict().items()}
@@ -102,7 +115,10 @@ def reference(network: GraspEvaluator, scene: np.ndarray, gripper: np.ndarray) -
     def abstraction(x: np.ndarray, k: int) -> np.ndarray:
         for layer in range(3):
             key = f"evaluator.0.{k}.mlps.0"
-            x = np.maximum(normed(x @ w[f"{key}.{3 * layer}.weight"][:, :, 0, 0].T, f"{key}.{3 * layer + 1}"), 0)
+            x = np.maximum(
+                normed(x @ w[f"{key}.{3 * layer}.weight"][:, :, 0, 0].T, f"{key}.{3 * layer + 1}"),
+                0,
+            )
         return x.max(axis=-2)
 
     xyz = np.concatenate([scene, gripper]).astype(np.float32)
@@ -115,7 +131,12 @@ def reference(network: GraspEvaluator, scene: np.ndarray, gripper: np.ndarray) -
         xyz, features = centres, abstraction(grouped, k)
     x = abstraction(np.column_stack([xyz, features]), 2)
     for a, b in ((0, 1), (3, 4)):
-        x = np.maximum(normed(w[f"evaluator.1.{a}.weight"] @ x + w[f"evaluator.1.{a}.bias"], f"evaluator.1.{b}"), 0)
+        x = np.maximum(
+            normed(
+                w[f"evaluator.1.{a}.weight"] @ x + w[f"evaluator.1.{a}.bias"], f"evaluator.1.{b}"
+            ),
+            0,
+        )
     logit = w["predictions_logits.weight"] @ x + w["predictions_logits.bias"]
     sure = w["confidence.weight"] @ x + w["confidence.bias"]
     return float(logit[0]), float(1 / (1 + np.exp(-sure[0])))
@@ -148,7 +169,9 @@ def test_network_is_the_published_one(sizes: Sizes | None) -> None:
     gripper = rng.uniform(-0.05, 0.05, (2, network.sizes.gripper, 3)).astype(np.float32)
     with torch.no_grad():
         logits, sure = network(torch.from_numpy(scene), torch.from_numpy(gripper))
-    assert abs(float(logits[0] - logits[1])) > 0.02  # a network that says the same of everything would prove nothing
+    assert (
+        abs(float(logits[0] - logits[1])) > 0.02
+    )  # a network that says the same of everything would prove nothing
     for k in range(2):
         logit, confidence = reference(network, scene[k], gripper[k])
         assert float(logits[k, 0]) == pytest.approx(logit, abs=1e-4)
@@ -164,7 +187,9 @@ def test_public_checkpoint_loads_strictly(tmp_path: Path) -> None:
     path = tmp_path / "latest_net.pth"
     torch.save({"epoch": 3, "model_state_dict": state, "optimizer_state_dict": {"lr": 0.1}}, path)
     loaded = load_evaluator(path)
-    assert all(torch.equal(a, b) for a, b in zip(loaded.state_dict().values(), state.values(), strict=True))
+    assert all(
+        torch.equal(a, b) for a, b in zip(loaded.state_dict().values(), state.values(), strict=True)
+    )
     del state["evaluator.0.1.mlps.0.3.weight"]
     torch.save({"model_state_dict": state}, path)
     with pytest.raises(DgevalError, match=r"evaluator\.0\.1\.mlps\.0\.3\.weight is missing"):
@@ -187,7 +212,9 @@ def test_training_and_use_agree() -> None:
 
 
 def test_shipped_weights_are_small_and_say_their_sizes() -> None:
-    path = Path(__file__).parents[2] / "dgeval" / "networks" / "weights" / "vfas_evaluator.safetensors"
+    path = (
+        Path(__file__).parents[2] / "dgeval" / "networks" / "weights" / "vfas_evaluator.safetensors"
+    )
     assert path.stat().st_size < 4e6
     assert load_evaluator(path).sizes == VFAS
     assert len(read_weights(path)) == 72
@@ -209,7 +236,12 @@ def test_gripper_points_lie_on_its_links() -> None:
 def test_candidates_keep_roll_and_stay_in_the_region() -> None:
     """Catches a left multiplication, roll that moves, radians for degrees."""
     T = increment(np.array([0.4, 0.1, 0.3, 1.0, -0.5, 2.0]))
-    moved = perturbed(np.tile(T, (500, 1, 1)), np.array([0.02, 0.02, 0.02]), np.radians(5), np.random.default_rng(0))
+    moved = perturbed(
+        np.tile(T, (500, 1, 1)),
+        np.array([0.02, 0.02, 0.02]),
+        np.radians(5),
+        np.random.default_rng(0),
+    )
     local = np.linalg.inv(T) @ moved
     assert np.abs(local[:, :3, 3]).max() <= 0.02
     assert np.abs(local[:, :3, 3]).max(axis=0).min() > 0.018
@@ -253,7 +285,9 @@ def test_leading_eight_alone_are_tried_with_noise() -> None:
 
     poses = np.tile(np.eye(4), (64, 1, 1))
     poses[:, 0, 3] = np.linspace(0, 1, 64)
-    found = Told(config, quality).scores(np.zeros((1, 3)), poses, np.eye(4), np.random.default_rng(0))
+    found = Told(config, quality).scores(
+        np.zeros((1, 3)), poses, np.eye(4), np.random.default_rng(0)
+    )
     assert tried == [64, 8, 8]
     assert int(np.argmax(found.score)) == 63
     assert np.isinf(found.score[:56]).all()
@@ -337,15 +371,21 @@ def test_baseline_executes_the_seed_as_it_was_given() -> None:
 def test_network_prefers_fingers_round_a_box() -> None:
     """The shipped weights on a made cloud: a grasp across a box's top beats one beside it and one above it."""
     rng = np.random.default_rng(0)
-    top = np.column_stack([rng.uniform(-0.02, 0.02, 4000), rng.uniform(-0.03, 0.03, 4000), np.full(4000, 0.10)])
+    top = np.column_stack(
+        [rng.uniform(-0.02, 0.02, 4000), rng.uniform(-0.03, 0.03, 4000), np.full(4000, 0.10)]
+    )
     table = np.column_stack([rng.uniform(-0.2, 0.2, (8000, 2)), np.zeros(8000)])
     table = table[(np.abs(table[:, :2]) > [0.02, 0.03]).any(axis=1)]
-    cloud = rng.permutation(np.concatenate([top, table])) + rng.normal(0, 0.002, (4000 + len(table), 3))
+    cloud = rng.permutation(np.concatenate([top, table])) + rng.normal(
+        0, 0.002, (4000 + len(table), 3)
+    )
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.08
     beside, above = T.copy(), T.copy()
     beside[0, 3], above[2, 3] = 0.045, 0.16
-    quality = GraspJudge(evaluator_of(None), VfasConfig()).quality([cloud], np.array([T, beside, above]))[0]
+    quality = GraspJudge(evaluator_of(None), VfasConfig()).quality(
+        [cloud], np.array([T, beside, above])
+    )[0]
     assert quality[0] > 0.7
     assert quality[1:].max() < 0.3
 
@@ -393,7 +433,11 @@ def test_public_weights_judge_in_the_loop(tmp_path: Path) -> None:
     found = []
     for changes in ({}, {"labels": "vfas"}, {"centre": "grasp"}):
         config = load_config("vfas").model_copy(
-            update={"vfas": VfasConfig(evaluator=str(tmp_path / "latest_net.pth"), candidates=3, **changes)}  # type: ignore[arg-type]
+            update={
+                "vfas": VfasConfig(
+                    evaluator=str(tmp_path / "latest_net.pth"), candidates=3, **changes
+                )
+            }  # type: ignore[arg-type]
         )
         judge = VfasLoop(config, np.eye(4))._judge
         found.append(judge.quality([cloud], np.tile(np.eye(4), (2, 1, 1)))[0, 0])
@@ -402,11 +446,23 @@ def test_public_weights_judge_in_the_loop(tmp_path: Path) -> None:
 
 def test_proportional_twist_goes_to_the_goal() -> None:
     """Catches a rotation in the wrong axes: followed for a time constant, and in small steps, the command ends at the goal."""
-    T, goal = increment(np.array([0.2, 0.1, 0, 0.5, 0, 1.0])), increment(np.array([0, 0.3, 0.1, -0.2, 0.4, 0]))
+    T, goal = (
+        increment(np.array([0.2, 0.1, 0, 0.5, 0, 1.0])),
+        increment(np.array([0, 0.3, 0.1, -0.2, 0.4, 0])),
+    )
     whole = proportional_twist(T, goal, 2.0) / 2.0
-    assert np.allclose(increment(np.concatenate([np.zeros(3), whole[3:]]))[:3, :3] @ T[:3, :3], goal[:3, :3], atol=1e-9)
+    assert np.allclose(
+        increment(np.concatenate([np.zeros(3), whole[3:]]))[:3, :3] @ T[:3, :3],
+        goal[:3, :3],
+        atol=1e-9,
+    )
     for _ in range(400):
         twist = proportional_twist(T, goal, 2.0) * 0.01
         move = increment(np.concatenate([np.zeros(3), twist[3:]]))
-        T = np.block([[move[:3, :3] @ T[:3, :3], (T[:3, 3] + twist[:3])[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
+        T = np.block(
+            [
+                [move[:3, :3] @ T[:3, :3], (T[:3, 3] + twist[:3])[:, None]],
+                [np.zeros((1, 3)), np.ones((1, 1))],
+            ]
+        )
     assert np.allclose(T, goal, atol=1e-3)

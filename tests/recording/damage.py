@@ -46,7 +46,13 @@ WIDTH, HEIGHT, FRAMES = 64, 48, 12
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 33_000_000
 COLOUR, DEPTH = "/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw"
-INFO, TF, TF_STATIC, JOINTS, EVENTS = "/camera/color/camera_info", "/tf", "/tf_static", "/joint_states", "/dgeval/events"
+INFO, TF, TF_STATIC, JOINTS, EVENTS = (
+    "/camera/color/camera_info",
+    "/tf",
+    "/tf_static",
+    "/joint_states",
+    "/dgeval/events",
+)
 BOX = "16,10,44,36"
 URDF = """<robot name="hand"><link name="palm"><collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>
 <link name="finger"><collision><geometry><box size="0.01 0.01 0.03"/></geometry></collision></link>
@@ -61,7 +67,11 @@ def _store(ros: int) -> Any:
     if ros == 2:
         return get_typestore(Stores.ROS2_HUMBLE)
     store = get_typestore(Stores.ROS1_NOETIC)
-    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage"))
+    store.register(
+        get_types_from_msg(
+            "geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage"
+        )
+    )
     return store
 
 
@@ -86,9 +96,18 @@ def header(ros: int, t_ns: int, frame: str) -> Any:
     return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame, **extra)
 
 
-def raw_image(ros: int, t_ns: int, array: Any, encoding: str, step: int | None = None, big_endian: bool = False) -> Any:
+def raw_image(
+    ros: int,
+    t_ns: int,
+    array: Any,
+    encoding: str,
+    step: int | None = None,
+    big_endian: bool = False,
+) -> Any:
     """sensor_msgs/Image; `step` larger than a row adds padding."""
-    array = np.ascontiguousarray(array if not big_endian else array.astype(array.dtype.newbyteorder(">")))
+    array = np.ascontiguousarray(
+        array if not big_endian else array.astype(array.dtype.newbyteorder(">"))
+    )
     rows = array.view(np.uint8).reshape(array.shape[0], -1)
     step = step or rows.shape[1]
     padded = np.full((rows.shape[0], step), 0xAB, np.uint8)
@@ -110,13 +129,22 @@ def encoded(suffix: str, array: Any) -> bytes:
     return bytes(cv2.imencode(suffix, array)[1].tobytes())
 
 
-def camera_info(ros: int, t_ns: int, width: int = WIDTH, height: int = HEIGHT, fx: float = 60.0, fy: float = 60.0) -> Any:
+def camera_info(
+    ros: int,
+    t_ns: int,
+    width: int = WIDTH,
+    height: int = HEIGHT,
+    fx: float = 60.0,
+    fy: float = 60.0,
+) -> Any:
     k = np.array([fx, 0, width / 2, 0, fy, height / 2, 0, 0, 1.0])
     p = np.array([fx, 0, width / 2, 0, 0, fy, height / 2, 0, 0, 0, 1.0, 0])
     r = np.eye(3).ravel()
     names = ("d", "k", "r", "p") if ros == 2 else ("D", "K", "R", "P")
     types = STORES[ros].types
-    roi = types["sensor_msgs/msg/RegionOfInterest"](x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    roi = types["sensor_msgs/msg/RegionOfInterest"](
+        x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+    )
     return types["sensor_msgs/msg/CameraInfo"](
         header=header(ros, t_ns, "camera"), height=height, width=width, distortion_model="plumb_bob", binning_x=0, binning_y=0,
         roi=roi, **dict(zip(names, (np.zeros(5), k, r, p), strict=True)),
@@ -124,7 +152,12 @@ def camera_info(ros: int, t_ns: int, width: int = WIDTH, height: int = HEIGHT, f
 
 
 def transform(
-    ros: int, t_ns: int, parent: str, child: str, place: tuple[float, ...], turn: tuple[float, ...] = (0, 0, 0, 1)
+    ros: int,
+    t_ns: int,
+    parent: str,
+    child: str,
+    place: tuple[float, ...],
+    turn: tuple[float, ...] = (0, 0, 0, 1),
 ) -> Any:
     types = STORES[ros].types
     return types["geometry_msgs/msg/TransformStamped"](
@@ -166,7 +199,9 @@ def scene(i: int) -> tuple[Any, Any]:
     return cv2.GaussianBlur(colour, (3, 3), 0.8), depth
 
 
-def recording(ros: int, colour: str = "jpeg", depth: str = "raw", frames: int = FRAMES) -> list[Entry]:
+def recording(
+    ros: int, colour: str = "jpeg", depth: str = "raw", frames: int = FRAMES
+) -> list[Entry]:
     """A trial of `frames` images with all small topics, in the order of log times. colour: jpeg, raw; depth: raw, png."""
     mount = transform(ros, START_NS, "flange", "camera", (0, 0, 0.05))
     out = [
@@ -182,21 +217,55 @@ def recording(ros: int, colour: str = "jpeg", depth: str = "raw", frames: int = 
             transform(ros, t, "flange", "palm", (0.1, 0.0, 0.1)),
         ]
         out.append(Entry(TF, "tf2_msgs/msg/TFMessage", t + 1_000, tf_message(ros, pose)))
-        out.append(Entry(JOINTS, "sensor_msgs/msg/JointState", t + 2_000, joint_state(ros, t, 0.01 * i)))
+        out.append(
+            Entry(JOINTS, "sensor_msgs/msg/JointState", t + 2_000, joint_state(ros, t, 0.01 * i))
+        )
         out.append(Entry(INFO, "sensor_msgs/msg/CameraInfo", t + 5_000_000, camera_info(ros, t)))
         if colour == "jpeg":
             message = compressed_image(ros, t, encoded(".jpg", image), "jpeg")
-            out.append(Entry(COLOUR + "/compressed", "sensor_msgs/msg/CompressedImage", t + 6_000_000, message))
+            out.append(
+                Entry(
+                    COLOUR + "/compressed",
+                    "sensor_msgs/msg/CompressedImage",
+                    t + 6_000_000,
+                    message,
+                )
+            )
         else:
-            out.append(Entry(COLOUR, "sensor_msgs/msg/Image", t + 6_000_000, raw_image(ros, t, image, "bgr8")))
+            out.append(
+                Entry(
+                    COLOUR, "sensor_msgs/msg/Image", t + 6_000_000, raw_image(ros, t, image, "bgr8")
+                )
+            )
         if depth == "png":
             data = struct.pack("<iff", 0, 0.0, 0.0) + encoded(".png", millimetres)
             message = compressed_image(ros, t, data, "16UC1; compressedDepth png")
-            out.append(Entry(DEPTH + "/compressedDepth", "sensor_msgs/msg/CompressedImage", t + 7_000_000, message))
+            out.append(
+                Entry(
+                    DEPTH + "/compressedDepth",
+                    "sensor_msgs/msg/CompressedImage",
+                    t + 7_000_000,
+                    message,
+                )
+            )
         else:
-            out.append(Entry(DEPTH, "sensor_msgs/msg/Image", t + 7_000_000, raw_image(ros, t, millimetres, "16UC1")))
+            out.append(
+                Entry(
+                    DEPTH,
+                    "sensor_msgs/msg/Image",
+                    t + 7_000_000,
+                    raw_image(ros, t, millimetres, "16UC1"),
+                )
+            )
         if i == frames - 3:
-            out.append(Entry(EVENTS, "std_msgs/msg/String", t + 8_000_000, text(ros, f'{{"event": "close", "t_ns": {t}}}')))
+            out.append(
+                Entry(
+                    EVENTS,
+                    "std_msgs/msg/String",
+                    t + 8_000_000,
+                    text(ros, f'{{"event": "close", "t_ns": {t}}}'),
+                )
+            )
     return out
 
 
@@ -211,7 +280,9 @@ def write_mcap(
     data_crc: bool = False,
 ) -> Path:
     """An MCAP with several chunks; CRCs as asked for."""
-    kind = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "": CompressionType.NONE}[compression]
+    kind = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "": CompressionType.NONE}[
+        compression
+    ]
     with path.open("wb") as stream:
         writer = McapWriter(
             stream, chunk_size=24_000, compression=kind, use_chunking=chunked,
@@ -226,17 +297,25 @@ def write_mcap(
             if entry.type not in schemas:
                 definition = store.generate_msgdef(entry.type, ros_version=ros)[0]
                 name = entry.type if ros == 2 else entry.type.replace("/msg/", "/")
-                schemas[entry.type] = writer.register_schema(name, f"ros{ros}msg", definition.encode())
+                schemas[entry.type] = writer.register_schema(
+                    name, f"ros{ros}msg", definition.encode()
+                )
             if entry.topic not in channels:
-                channels[entry.topic] = writer.register_channel(entry.topic, "cdr" if ros == 2 else "ros1", schemas[entry.type])
-            writer.add_message(channels[entry.topic], entry.log_ns, serialise(entry, ros), entry.log_ns)
+                channels[entry.topic] = writer.register_channel(
+                    entry.topic, "cdr" if ros == 2 else "ros1", schemas[entry.type]
+                )
+            writer.add_message(
+                channels[entry.topic], entry.log_ns, serialise(entry, ros), entry.log_ns
+            )
         writer.finish()
     return path
 
 
 def serialise(entry: Entry, ros: int) -> bytes:
     store = STORES[ros]
-    return bytes((store.serialize_cdr if ros == 2 else store.serialize_ros1)(entry.value, entry.type))
+    return bytes(
+        (store.serialize_cdr if ros == 2 else store.serialize_ros1)(entry.value, entry.type)
+    )
 
 
 def write_bag(path: Path, entries: list[Entry], compression: str = "") -> Path:
@@ -250,7 +329,9 @@ def write_bag(path: Path, entries: list[Entry], compression: str = "") -> Path:
         known: dict[str, Any] = {}
         for entry in entries:
             if entry.topic not in known:
-                known[entry.topic] = writer.add_connection(entry.topic, entry.type, typestore=STORES[1])
+                known[entry.topic] = writer.add_connection(
+                    entry.topic, entry.type, typestore=STORES[1]
+                )
             writer.write(known[entry.topic], entry.log_ns, serialise(entry, 1))
     return path
 
@@ -262,7 +343,9 @@ def write_folder(path: Path, entries: list[Entry]) -> Path:
         known: dict[str, Any] = {}
         for entry in entries:
             if entry.topic not in known:
-                known[entry.topic] = writer.add_connection(entry.topic, entry.type, typestore=STORES[2])
+                known[entry.topic] = writer.add_connection(
+                    entry.topic, entry.type, typestore=STORES[2]
+                )
             writer.write(known[entry.topic], entry.log_ns, serialise(entry, 2))
     return path
 
@@ -286,12 +369,32 @@ class Kind:
 
 KINDS = (
     Kind("mcap zstd", ".mcap", lambda p: write_mcap(p, recording(2)), "chunk", "mcap"),
-    Kind("mcap lz4", ".mcap", lambda p: write_mcap(p, recording(2, "raw", "png"), compression="lz4"), "chunk", "mcap"),
-    Kind("mcap none", ".mcap", lambda p: write_mcap(p, recording(2), compression=""), "chunk", "mcap"),
+    Kind(
+        "mcap lz4",
+        ".mcap",
+        lambda p: write_mcap(p, recording(2, "raw", "png"), compression="lz4"),
+        "chunk",
+        "mcap",
+    ),
+    Kind(
+        "mcap none", ".mcap", lambda p: write_mcap(p, recording(2), compression=""), "chunk", "mcap"
+    ),
     Kind("mcap ros1 zstd", ".mcap", lambda p: write_mcap(p, recording(1), 1), "chunk", "mcap"),
     Kind("mcap overlap", ".mcap", lambda p: write_mcap(p, shuffled(recording(2))), "chunk", "mcap"),
-    Kind("mcap overlap no summary", ".mcap", lambda p: write_mcap(p, shuffled(recording(2)), summary=False), "chunk", "mcap"),
-    Kind("mcap no summary", ".mcap", lambda p: write_mcap(p, recording(2), summary=False), "chunk", "mcap"),
+    Kind(
+        "mcap overlap no summary",
+        ".mcap",
+        lambda p: write_mcap(p, shuffled(recording(2)), summary=False),
+        "chunk",
+        "mcap",
+    ),
+    Kind(
+        "mcap no summary",
+        ".mcap",
+        lambda p: write_mcap(p, recording(2), summary=False),
+        "chunk",
+        "mcap",
+    ),
     Kind(
         "mcap no summary, data CRC",
         ".mcap",
@@ -300,12 +403,30 @@ KINDS = (
         "mcap",
     ),
     Kind(
-        "mcap unchunked, data CRC", ".mcap", lambda p: write_mcap(p, recording(2), chunked=False, data_crc=True), "file", "mcap"
+        "mcap unchunked, data CRC",
+        ".mcap",
+        lambda p: write_mcap(p, recording(2), chunked=False, data_crc=True),
+        "file",
+        "mcap",
     ),
-    Kind("mcap unchunked", ".mcap", lambda p: write_mcap(p, recording(2), chunked=False), "none", "mcap"),
-    Kind("mcap no CRC", ".mcap", lambda p: write_mcap(p, recording(2), compression="", crcs=False), "none", "mcap"),
+    Kind(
+        "mcap unchunked",
+        ".mcap",
+        lambda p: write_mcap(p, recording(2), chunked=False),
+        "none",
+        "mcap",
+    ),
+    Kind(
+        "mcap no CRC",
+        ".mcap",
+        lambda p: write_mcap(p, recording(2), compression="", crcs=False),
+        "none",
+        "mcap",
+    ),
     Kind("bag none", ".bag", lambda p: write_bag(p, recording(1, "raw")), "none", "bag"),
-    Kind("bag bz2", ".bag", lambda p: write_bag(p, recording(1, "raw", "png"), "bz2"), "none", "bag"),
+    Kind(
+        "bag bz2", ".bag", lambda p: write_bag(p, recording(1, "raw", "png"), "bz2"), "none", "bag"
+    ),
     Kind("bag lz4", ".bag", lambda p: write_bag(p, recording(1), "lz4"), "none", "bag"),
     Kind("db3 folder", "", lambda p: write_folder(p, recording(2)), "none", "db3"),
     Kind("db3 bare", ".db3", lambda p: _bare(p), "none", "db3"),
@@ -371,7 +492,12 @@ def _mcap_regions(data: bytes) -> list[Region]:
         opcode, length = struct.unpack_from("<BQ", data, at)
         end = at + 9 + length
         if opcode == 6:
-            payload = end - struct.unpack_from("<Q", data, at + 9 + 8 + 8 + 8 + 4 + 4 + _u32(data, at + 37))[0]
+            payload = (
+                end
+                - struct.unpack_from("<Q", data, at + 9 + 8 + 8 + 8 + 4 + 4 + _u32(data, at + 37))[
+                    0
+                ]
+            )
             out += [("chunk header", at, payload), ("chunk payload", payload, end)]
         else:
             out.append((MCAP_NAMES[opcode], at, end))
@@ -401,7 +527,9 @@ def _bag_regions(data: bytes) -> list[Region]:
 def _db3_regions(data: bytes) -> list[Region]:
     out: list[Region] = [("database header", 0, 100), ("schema page", 100, 4096)]
     names = {2: "index page", 5: "inner page", 10: "index page", 13: "table page"}
-    return out + [(names.get(data[at], "overflow page"), at, at + 4096) for at in range(4096, len(data), 4096)]
+    return out + [
+        (names.get(data[at], "overflow page"), at, at + 4096) for at in range(4096, len(data), 4096)
+    ]
 
 
 # --- mutations ------------------------------------------------------------------------------------------------------
@@ -442,7 +570,9 @@ def flip_cases(good: Good, seeds: Iterable[int]) -> Iterator[Case]:
         if name == "bag header":
             end = min(end, start + 80)  # the rest is padding
         bit = int(rng.integers(start * 8, end * 8))
-        yield Case(f"1 flip, {name}", f"seed {seed}: byte {bit // 8} bit {bit % 8}", flip(good.data, [bit]))
+        yield Case(
+            f"1 flip, {name}", f"seed {seed}: byte {bit // 8} bit {bit % 8}", flip(good.data, [bit])
+        )
 
 
 def cases(good: Good, seeds: int, boundaries: int = 24) -> Iterator[Case]:
@@ -462,7 +592,9 @@ def cases(good: Good, seeds: int, boundaries: int = 24) -> Iterator[Case]:
     yield from flip_cases(good, range(seeds))
     for seed in range(max(3, seeds // 10)):
         rng = np.random.default_rng([2, seed])
-        yield Case("20 flips", f"seed {seed}", flip(data, [int(b) for b in rng.integers(0, size * 8, 20)]))
+        yield Case(
+            "20 flips", f"seed {seed}", flip(data, [int(b) for b in rng.integers(0, size * 8, 20)])
+        )
         hole = bytearray(data)
         at = int(rng.integers(0, size - 4096))
         hole[at : at + 4096] = bytes(4096)
@@ -470,8 +602,14 @@ def cases(good: Good, seeds: int, boundaries: int = 24) -> Iterator[Case]:
         pages = size // 4096
         a, b = (int(p) for p in rng.choice(pages, 2, replace=False))
         page = data[a * 4096 : (a + 1) * 4096]
-        yield Case("page over another", f"page {a} over page {b}", data[: b * 4096] + page + data[(b + 1) * 4096 :])
-        yield Case("page put in twice", f"page {a}", data[: (a + 1) * 4096] + page + data[(a + 1) * 4096 :])
+        yield Case(
+            "page over another",
+            f"page {a} over page {b}",
+            data[: b * 4096] + page + data[(b + 1) * 4096 :],
+        )
+        yield Case(
+            "page put in twice", f"page {a}", data[: (a + 1) * 4096] + page + data[(a + 1) * 4096 :]
+        )
         yield Case("page left out", f"page {a}", data[: a * 4096] + data[(a + 1) * 4096 :])
         junk = rng.integers(0, 256, int(rng.integers(1, 9000)), dtype=np.uint8).tobytes()
         yield Case("junk appended", f"seed {seed}: {len(junk)} bytes", data + junk)
@@ -479,12 +617,18 @@ def cases(good: Good, seeds: int, boundaries: int = 24) -> Iterator[Case]:
     yield Case("file twice", "appended to itself", data + data)
     yield from _length_cases(data, layout)
     yield from _field_cases(good)
-    yield Case("LFS pointer", "", b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64 + b"\nsize 123456\n")
+    yield Case(
+        "LFS pointer",
+        "",
+        b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64 + b"\nsize 123456\n",
+    )
     yield Case("web page", "", b"\n<!DOCTYPE html><html><body>404 Not Found</body></html>\n")
     for suffix in (".mcap", ".bag", ".db3", ".dat", ""):
         if suffix != good.kind.suffix and good.path.is_file():
             yield Case("wrong suffix", repr(suffix), place="other" + suffix)
-    yield Case("path", "spaces, UTF-8", place=f"Prüfstand Läufe/Lauf 1 – größe 試験{good.kind.suffix}")
+    yield Case(
+        "path", "spaces, UTF-8", place=f"Prüfstand Läufe/Lauf 1 – größe 試験{good.kind.suffix}"
+    )
     yield Case("path", "newline, quotes", place=f"a\n'b\"{good.kind.suffix}")
     if not good.path.is_file():
         meta = (good.path / "metadata.yaml").read_bytes()
@@ -492,10 +636,16 @@ def cases(good: Good, seeds: int, boundaries: int = 24) -> Iterator[Case]:
         yield Case("metadata", "empty", metadata=b"")
         yield Case("metadata", "binary", metadata=bytes(range(256)) * 4)
         yield Case("metadata", "a list", metadata=b"- 1\n- 2\n")
-        yield Case("metadata", "version 99", metadata=meta.replace(b"version: 9", b"version: 99", 1))
+        yield Case(
+            "metadata", "version 99", metadata=meta.replace(b"version: 9", b"version: 99", 1)
+        )
         yield Case("metadata", "half", metadata=meta[: len(meta) // 2])
         yield Case("metadata", "other file named", metadata=meta.replace(b".db3", b".db4"))
-        yield Case("metadata", "count lies", metadata=meta.replace(b"message_count: 12", b"message_count: 13"))
+        yield Case(
+            "metadata",
+            "count lies",
+            metadata=meta.replace(b"message_count: 12", b"message_count: 13"),
+        )
 
 
 def _length_cases(data: bytes, layout: str) -> Iterator[Case]:
@@ -503,7 +653,13 @@ def _length_cases(data: bytes, layout: str) -> Iterator[Case]:
     where = regions(data, layout)
     if layout == "mcap":
         records = [r for r in where if r[0] not in ("magic", "closing magic", "chunk payload")]
-        for name, start, _ in (records[0], records[1], records[len(records) // 2], records[-2], records[-1]):
+        for name, start, _ in (
+            records[0],
+            records[1],
+            records[len(records) // 2],
+            records[-2],
+            records[-1],
+        ):
             for length in (0, 1, 3 << 30, 1 << 40, (1 << 64) - 1):
                 changed = data[: start + 1] + struct.pack("<Q", length) + data[start + 9 :]
                 yield Case("record length", f"{name} at byte {start}: {length}", changed)
@@ -511,14 +667,21 @@ def _length_cases(data: bytes, layout: str) -> Iterator[Case]:
         for name, start, end in where[1:4] + where[-3:]:
             if name == "chunk payload":
                 continue
-            for offset in (start, end - 4 if name == "chunk header" else start + 4 + _u32(data, start)):
+            for offset in (
+                start,
+                end - 4 if name == "chunk header" else start + 4 + _u32(data, start),
+            ):
                 for length in (0, 1, (1 << 31) - 1, (1 << 32) - 1):
                     changed = data[:offset] + struct.pack("<I", length) + data[offset + 4 :]
                     yield Case("record length", f"{name} at byte {offset}: {length}", changed)
     else:
         for offset, length in ((28, 1 << 31), (28, 0), (28, 2), (16, 0x0200), (16, 1), (16, 0)):
             value = struct.pack(">H" if offset == 16 else ">I", length)
-            yield Case("record length", f"header byte {offset}: {length}", data[:offset] + value + data[offset + len(value) :])
+            yield Case(
+                "record length",
+                f"header byte {offset}: {length}",
+                data[:offset] + value + data[offset + len(value) :],
+            )
 
 
 def _field_cases(good: Good) -> Iterator[Case]:
@@ -529,23 +692,35 @@ def _field_cases(good: Good) -> Iterator[Case]:
         starts = [s for n, s, _ in where if n in ("chunk header", "message", "data end")]
         for start in starts[:: max(1, len(starts) // 6)] + starts[-1:]:
             for bit in range(8):
-                yield Case("record opcode flip", f"byte {start} bit {bit}", flip(data, [start * 8 + bit]))
+                yield Case(
+                    "record opcode flip", f"byte {start} bit {bit}", flip(data, [start * 8 + bit])
+                )
     elif layout == "bag":
         for name in (b"chunk_count=", b"conn_count="):
             at = data.index(name) + len(name)
             count = _u32(data, at)
             for value in (0, 1, count - 1, count + 1, count | 1 << 30):
-                yield Case("count field", f"{name.decode()}{value}", data[:at] + struct.pack("<I", value) + data[at + 4 :])
+                yield Case(
+                    "count field",
+                    f"{name.decode()}{value}",
+                    data[:at] + struct.pack("<I", value) + data[at + 4 :],
+                )
         for name, start, end in where:
             if name == "chunk info":
                 at = data.index(b"count=", start, end) + 6
                 value = _u32(data, at)
                 yield Case(
-                    "count field", f"chunk info at byte {start}", data[:at] + struct.pack("<I", value - 1) + data[at + 4 :]
+                    "count field",
+                    f"chunk info at byte {start}",
+                    data[:at] + struct.pack("<I", value - 1) + data[at + 4 :],
                 )
                 at = data.index(b"chunk_pos=", start, end) + 10
                 other = where[[w[0] for w in where].index("chunk header")][1]
-                yield Case("count field", f"chunk_pos at byte {at}", data[:at] + struct.pack("<Q", other) + data[at + 8 :])
+                yield Case(
+                    "count field",
+                    f"chunk_pos at byte {at}",
+                    data[:at] + struct.pack("<Q", other) + data[at + 8 :],
+                )
     else:
         for sql in (
             "UPDATE messages SET topic_id = 77 WHERE id = 30",
@@ -581,7 +756,9 @@ def _with_sql(data: bytes, sql: str) -> bytes:
         connection = sqlite3.connect(path)
         try:
             connection.execute("PRAGMA writable_schema = ON")
-            connection.execute("UPDATE sqlite_master SET sql = replace(sql, ' NOT NULL', '') WHERE type = 'table'")
+            connection.execute(
+                "UPDATE sqlite_master SET sql = replace(sql, ' NOT NULL', '') WHERE type = 'table'"
+            )
             connection.commit()
         finally:
             connection.close()
@@ -609,9 +786,24 @@ def bomb(compression: str, size: int) -> bytes:
             stream.seek(0)
             packed = stream.read()
     name = compression.encode()
-    chunk = struct.pack("<QQQII", 0, 1, 1000, 1, len(name)) + name + struct.pack("<Q", len(packed)) + packed
-    out_ = b"\x89MCAP0\r\n" + struct.pack("<BQII", 1, 8, 0, 0) + struct.pack("<BQ", 6, len(chunk)) + chunk
-    return out_ + struct.pack("<BQI", 15, 4, 0) + struct.pack("<BQQQI", 2, 20, 0, 0, 0) + b"\x89MCAP0\r\n"
+    chunk = (
+        struct.pack("<QQQII", 0, 1, 1000, 1, len(name))
+        + name
+        + struct.pack("<Q", len(packed))
+        + packed
+    )
+    out_ = (
+        b"\x89MCAP0\r\n"
+        + struct.pack("<BQII", 1, 8, 0, 0)
+        + struct.pack("<BQ", 6, len(chunk))
+        + chunk
+    )
+    return (
+        out_
+        + struct.pack("<BQI", 15, 4, 0)
+        + struct.pack("<BQQQI", 2, 20, 0, 0, 0)
+        + b"\x89MCAP0\r\n"
+    )
 
 
 def place_case(good: Good, case: Case, folder: Path) -> Path:
@@ -626,19 +818,42 @@ def place_case(good: Good, case: Case, folder: Path) -> Path:
     path.mkdir(parents=True)
     (path / good.file.name).write_bytes(data)
     if case.metadata != "missing":
-        meta = case.metadata if isinstance(case.metadata, bytes) else (good.path / "metadata.yaml").read_bytes()
+        meta = (
+            case.metadata
+            if isinstance(case.metadata, bytes)
+            else (good.path / "metadata.yaml").read_bytes()
+        )
         (path / "metadata.yaml").write_bytes(meta)
     return path
 
 
 # --- the oracle -----------------------------------------------------------------------------------------------------
 
-COMPLETE, COMPLETE_SAID, PREFIX, ERROR = "complete", "complete, damage said", "prefix, damage said", "typed error"
+COMPLETE, COMPLETE_SAID, PREFIX, ERROR = (
+    "complete",
+    "complete, damage said",
+    "prefix, damage said",
+    "typed error",
+)
 OTHER_ORDER = "right by topic, other order, damage said"
-SILENT, SILENT_META, CHANGED_SAID = "silent payload change", "silent topic/time change", "changed, damage said"
+SILENT, SILENT_META, CHANGED_SAID = (
+    "silent payload change",
+    "silent topic/time change",
+    "changed, damage said",
+)
 VIOLATION = "VIOLATION"
 STDOUT_ONLY = "exit 3, file on stdout only"
-OUTCOMES = (COMPLETE, COMPLETE_SAID, PREFIX, OTHER_ORDER, ERROR, SILENT, SILENT_META, CHANGED_SAID, VIOLATION)
+OUTCOMES = (
+    COMPLETE,
+    COMPLETE_SAID,
+    PREFIX,
+    OTHER_ORDER,
+    ERROR,
+    SILENT,
+    SILENT_META,
+    CHANGED_SAID,
+    VIOLATION,
+)
 
 
 @dataclass
@@ -663,14 +878,24 @@ def read_outcome(path: Path, truth: list[Seen], checked: str) -> Outcome:
         opened = open_container(path)
         try:
             for message in opened.messages():
-                if type(message.log_ns) is not int or not 0 <= message.log_ns < 1 << 63 or type(message.data) is not bytes:
-                    return Outcome(VIOLATION, f"not a message: log time {message.log_ns!r}, {type(message.data)}", len(got))
+                if (
+                    type(message.log_ns) is not int
+                    or not 0 <= message.log_ns < 1 << 63
+                    or type(message.data) is not bytes
+                ):
+                    return Outcome(
+                        VIOLATION,
+                        f"not a message: log time {message.log_ns!r}, {type(message.data)}",
+                        len(got),
+                    )
                 got += seen([message])
                 try:
                     opened.decode(message)
                 except UndecodableError as fault:
                     if path.name not in str(fault):
-                        return Outcome(VIOLATION, f"UndecodableError does not name the file: {fault}", len(got))
+                        return Outcome(
+                            VIOLATION, f"UndecodableError does not name the file: {fault}", len(got)
+                        )
         finally:
             said = [str(d) for d in opened.damage]
             checksums = opened.container.checksums
@@ -679,7 +904,11 @@ def read_outcome(path: Path, truth: list[Seen], checked: str) -> Outcome:
     except BaseException as fault:
         where = traceback.extract_tb(fault.__traceback__)[-1]
         at = f"{Path(where.filename).name}:{where.lineno}"
-        return Outcome(VIOLATION, f"foreign exception {type(fault).__name__}: {str(fault)[:200]} ({at})", len(got))
+        return Outcome(
+            VIOLATION,
+            f"foreign exception {type(fault).__name__}: {str(fault)[:200]} ({at})",
+            len(got),
+        )
     n = len(got)
     exact = got == truth[:n]
     what = str(error) if error is not None else "; ".join(said)
@@ -687,24 +916,36 @@ def read_outcome(path: Path, truth: list[Seen], checked: str) -> Outcome:
         if path.name not in line:
             return Outcome(VIOLATION, f"the file is not named: {line}", n)
     if error is not None:
-        return Outcome(ERROR, what, n) if exact else Outcome(VIOLATION, f"wrong messages, then {what}", n)
+        return (
+            Outcome(ERROR, what, n)
+            if exact
+            else Outcome(VIOLATION, f"wrong messages, then {what}", n)
+        )
     if exact:
         if n == len(truth):
             return Outcome(COMPLETE_SAID if said else COMPLETE, what, n)
         if said:
             return Outcome(PREFIX, what, n)
         return Outcome(VIOLATION, f"{len(truth) - n} of {len(truth)} messages lost in silence", n)
-    first = next((i for i, (a, b) in enumerate(zip(got, truth, strict=False)) if a != b), len(truth))
+    first = next(
+        (i for i, (a, b) in enumerate(zip(got, truth, strict=False)) if a != b), len(truth)
+    )
     claim = "CRC-32 per chunk, checked"
     if said and _in_order_by_topic(got, truth):
         return Outcome(OTHER_ORDER, what, n)
     if checked == "chunk" or checksums == claim or (checked == "file" and not said):
         said_text = f"damage said: {what}" if said else "in silence"
-        return Outcome(VIOLATION, f"message {first} of {n} (true {len(truth)}) is wrong, {said_text}", n)
+        return Outcome(
+            VIOLATION, f"message {first} of {n} (true {len(truth)}) is wrong, {said_text}", n
+        )
     if said:
         return Outcome(CHANGED_SAID, what, n)
     if n != len(truth):
-        return Outcome(VIOLATION, f"{n} messages instead of {len(truth)} in silence, the first wrong one is {first}", n)
+        return Outcome(
+            VIOLATION,
+            f"{n} messages instead of {len(truth)} in silence, the first wrong one is {first}",
+            n,
+        )
     same_places = [g[:2] for g in got] == [t[:2] for t in truth]
     return Outcome(SILENT if same_places else SILENT_META, f"first wrong message {first}", n)
 
@@ -749,7 +990,9 @@ def in_children(functions: list[Callable[[], Outcome]], seconds: float = 20.0) -
     return [in_child(f, seconds) for f in functions]
 
 
-def in_child(function: Callable[[], Outcome], seconds: float = 20.0, extra_mb: int = 1024) -> Outcome:
+def in_child(
+    function: Callable[[], Outcome], seconds: float = 20.0, extra_mb: int = 1024
+) -> Outcome:
     """Run in a forked child that may use `extra_mb` of address space more than this process and so many seconds."""
     started = time.perf_counter()
     read_end, write_end = os.pipe()
@@ -836,11 +1079,19 @@ def judge_cli(code: int, out: str, err: str, name: str, intact: bool | None) -> 
         return Outcome(STDOUT_ONLY, lines=[f"exit {code}", *out.strip().splitlines()[2:4]])
     if code and shown not in err:
         where = "nowhere"
-        return Outcome(VIOLATION, f"exit code {code}, the file is named {where}: {err.strip()[-300:]!r}", lines=lines)
+        return Outcome(
+            VIOLATION,
+            f"exit code {code}, the file is named {where}: {err.strip()[-300:]!r}",
+            lines=lines,
+        )
     if code == 0 and intact is False:
-        return Outcome(VIOLATION, "exit code 0, but reading was not complete and clean", lines=lines)
+        return Outcome(
+            VIOLATION, "exit code 0, but reading was not complete and clean", lines=lines
+        )
     if code != 0 and intact is True:
-        return Outcome(VIOLATION, f"exit code {code} for an intact file: {err.strip()[-300:]}", lines=lines)
+        return Outcome(
+            VIOLATION, f"exit code {code} for an intact file: {err.strip()[-300:]}", lines=lines
+        )
     return Outcome(f"exit {code}", lines=lines)
 
 
@@ -859,7 +1110,9 @@ class Semantic:
     box: str = BOX
 
 
-def _on(topic: str, change: Callable[[int, Entry], Entry | None]) -> Callable[[list[Entry], int], list[Entry]]:
+def _on(
+    topic: str, change: Callable[[int, Entry], Entry | None]
+) -> Callable[[list[Entry], int], list[Entry]]:
     """Apply a change to the k-th message of each topic that starts with `topic`; None takes it away."""
 
     def apply(entries: list[Entry], ros: int) -> list[Entry]:
@@ -891,7 +1144,9 @@ def _t(k: int) -> int:
     return START_NS + k * PERIOD_NS
 
 
-def _both(change: Callable[[int, Entry], Entry | None]) -> Callable[[list[Entry], int], list[Entry]]:
+def _both(
+    change: Callable[[int, Entry], Entry | None],
+) -> Callable[[list[Entry], int], list[Entry]]:
     def apply(entries: list[Entry], ros: int) -> list[Entry]:
         return _on(DEPTH, change)(_on(COLOUR, change)(entries, ros), ros)
 
@@ -903,7 +1158,10 @@ def _depth_of(make: Callable[[Any], Any], **how: Any) -> Callable[[list[Entry], 
         encoding = how.get("encoding", "16UC1")
         rest = {k: v for k, v in how.items() if k != "encoding"}
         return _on(
-            DEPTH, lambda k, e: dataclasses.replace(e, value=raw_image(ros, _t(k), make(scene(k)[1]), encoding, **rest))
+            DEPTH,
+            lambda k, e: dataclasses.replace(
+                e, value=raw_image(ros, _t(k), make(scene(k)[1]), encoding, **rest)
+            ),
         )(entries, ros)
 
     return apply
@@ -911,7 +1169,9 @@ def _depth_of(make: Callable[[Any], Any], **how: Any) -> Callable[[list[Entry], 
 
 def _info(**how: Any) -> Callable[[list[Entry], int], list[Entry]]:
     def apply(entries: list[Entry], ros: int) -> list[Entry]:
-        return _on(INFO, lambda k, e: dataclasses.replace(e, value=camera_info(ros, _t(k), **how)))(entries, ros)
+        return _on(INFO, lambda k, e: dataclasses.replace(e, value=camera_info(ros, _t(k), **how)))(
+            entries, ros
+        )
 
     return apply
 
@@ -919,7 +1179,9 @@ def _info(**how: Any) -> Callable[[list[Entry], int], list[Entry]]:
 def _tf(change: Callable[[int, int], list[Any]]) -> Callable[[list[Entry], int], list[Entry]]:
     def apply(entries: list[Entry], ros: int) -> list[Entry]:
         return [
-            dataclasses.replace(e, value=tf_message(ros, change(ros, (e.log_ns - START_NS) // PERIOD_NS)))
+            dataclasses.replace(
+                e, value=tf_message(ros, change(ros, (e.log_ns - START_NS) // PERIOD_NS))
+            )
             if e.topic == TF
             else e
             for e in entries
@@ -928,7 +1190,9 @@ def _tf(change: Callable[[int, int], list[Any]]) -> Callable[[list[Entry], int],
     return apply
 
 
-def _image_data(topic: str, change: Callable[[bytes], bytes], every: int = 1) -> Callable[[list[Entry], int], list[Entry]]:
+def _image_data(
+    topic: str, change: Callable[[bytes], bytes], every: int = 1
+) -> Callable[[list[Entry], int], list[Entry]]:
     def one(k: int, entry: Entry) -> Entry:
         if k % every:
             return entry
@@ -950,10 +1214,19 @@ SEMANTIC = (
     Semantic("control: jpeg and compressedDepth", _keep, (0,), "jpeg", "png"),
     Semantic("stamps all zero", _both(lambda k, e: _restamp(e, 0))),
     Semantic("stamps zero in colour only", _on(COLOUR, lambda k, e: _restamp(e, 0))),
-    Semantic("stamps backward 0.19 s from frame 6", _both(lambda k, e: _restamp(e, _t(k) - (190_000_000 if k >= 6 else 0)))),
-    Semantic("stamps backward 1 h from frame 6", _both(lambda k, e: _restamp(e, _t(k) - (3600 * 10**9 if k >= 6 else 0)))),
+    Semantic(
+        "stamps backward 0.19 s from frame 6",
+        _both(lambda k, e: _restamp(e, _t(k) - (190_000_000 if k >= 6 else 0))),
+    ),
+    Semantic(
+        "stamps backward 1 h from frame 6",
+        _both(lambda k, e: _restamp(e, _t(k) - (3600 * 10**9 if k >= 6 else 0))),
+    ),
     Semantic("stamps duplicate", _both(lambda k, e: _restamp(e, _t(k - k % 2)))),
-    Semantic("stamps jump +1 year at frame 6", _both(lambda k, e: _restamp(e, _t(k) + (365 * 86400 * 10**9 if k >= 6 else 0)))),
+    Semantic(
+        "stamps jump +1 year at frame 6",
+        _both(lambda k, e: _restamp(e, _t(k) + (365 * 86400 * 10**9 if k >= 6 else 0))),
+    ),
     Semantic("stamps falling", _both(lambda k, e: _restamp(e, _t(100 - k)))),
     Semantic(
         "stamps with nanosec of 4e9",
@@ -961,19 +1234,26 @@ SEMANTIC = (
             lambda k, e: _with(
                 e,
                 header=dataclasses.replace(
-                    e.value.header, stamp=dataclasses.replace(e.value.header.stamp, nanosec=4_000_000_000)
+                    e.value.header,
+                    stamp=dataclasses.replace(e.value.header.stamp, nanosec=4_000_000_000),
                 ),
             )
         ),
     ),
-    Semantic("stamps of 2106", _both(lambda k, e: _restamp(e, 2**31 * 10**9 - 10**9 + k * PERIOD_NS))),
-    Semantic("depth stamped 1 h away", _on(DEPTH, lambda k, e: _restamp(e, _t(k) + 3600 * 10**9)), (2, 3)),
+    Semantic(
+        "stamps of 2106", _both(lambda k, e: _restamp(e, 2**31 * 10**9 - 10**9 + k * PERIOD_NS))
+    ),
+    Semantic(
+        "depth stamped 1 h away", _on(DEPTH, lambda k, e: _restamp(e, _t(k) + 3600 * 10**9)), (2, 3)
+    ),
     Semantic("gap of 10 s", _both(lambda k, e: _restamp(e, _t(k) + (10**10 if k >= 6 else 0)))),
     Semantic(
         "joints and tf stamped zero",
         lambda es, r: [
             _restamp(e, 0) if e.topic == JOINTS else e
-            for e in _tf(lambda ros, i: [transform(ros, 0, "base_link", "flange", (0, 0, 1))])(es, r)
+            for e in _tf(lambda ros, i: [transform(ros, 0, "base_link", "flange", (0, 0, 1))])(
+                es, r
+            )
         ],
     ),
     Semantic("no camera_info", _without(INFO), (2,)),
@@ -994,58 +1274,132 @@ SEMANTIC = (
     Semantic("K huge", _info(fx=1e300, fy=1e300)),
     Semantic("K tiny", _info(fx=1e-300, fy=1e-300)),
     Semantic("K infinite", _info(fx=math.inf), (2, 3)),
-    Semantic("image size changes at frame 6", _both(lambda k, e: e if k < 6 else _with(e, height=HEIGHT // 2)), (0, 3)),
+    Semantic(
+        "image size changes at frame 6",
+        _both(lambda k, e: e if k < 6 else _with(e, height=HEIGHT // 2)),
+        (0, 3),
+    ),
     Semantic("image height 0", _both(lambda k, e: _with(e, height=0)), (2, 3)),
     Semantic("image width 2^31", _both(lambda k, e: _with(e, width=2**31)), (2, 3)),
     Semantic("step 0", _on(DEPTH, lambda k, e: _with(e, step=0)), (2, 3)),
     Semantic("step with padding", _depth_of(lambda d: d, step=WIDTH * 2 + 12), (0,)),
     Semantic("depth big-endian", _depth_of(lambda d: d, big_endian=True), (0,)),
-    Semantic("depth 32FC1", _depth_of(lambda d: d.astype(np.float32) / 1000, encoding="32FC1"), (0,)),
     Semantic(
-        "depth 32FC1 big-endian", _depth_of(lambda d: d.astype(np.float32) / 1000, encoding="32FC1", big_endian=True), (0,)
+        "depth 32FC1", _depth_of(lambda d: d.astype(np.float32) / 1000, encoding="32FC1"), (0,)
+    ),
+    Semantic(
+        "depth 32FC1 big-endian",
+        _depth_of(lambda d: d.astype(np.float32) / 1000, encoding="32FC1", big_endian=True),
+        (0,),
     ),
     Semantic("depth all zero", _depth_of(np.zeros_like), (0,)),
     Semantic("depth all 65535", _depth_of(lambda d: np.full_like(d, 65535)), (0,)),
-    Semantic("depth all NaN", _depth_of(lambda d: np.full(d.shape, np.nan, np.float32), encoding="32FC1"), (0,)),
-    Semantic("depth all inf", _depth_of(lambda d: np.full(d.shape, np.inf, np.float32), encoding="32FC1"), (0,)),
-    Semantic("depth all 1e30 m", _depth_of(lambda d: np.full(d.shape, 1e30, np.float32), encoding="32FC1"), (0,)),
-    Semantic("depth all 1e-30 m", _depth_of(lambda d: np.full(d.shape, 1e-30, np.float32), encoding="32FC1"), (0,)),
-    Semantic("depth noise", _depth_of(lambda d: np.random.default_rng(3).integers(0, 65536, d.shape).astype(np.uint16)), (0,)),
+    Semantic(
+        "depth all NaN",
+        _depth_of(lambda d: np.full(d.shape, np.nan, np.float32), encoding="32FC1"),
+        (0,),
+    ),
+    Semantic(
+        "depth all inf",
+        _depth_of(lambda d: np.full(d.shape, np.inf, np.float32), encoding="32FC1"),
+        (0,),
+    ),
+    Semantic(
+        "depth all 1e30 m",
+        _depth_of(lambda d: np.full(d.shape, 1e30, np.float32), encoding="32FC1"),
+        (0,),
+    ),
+    Semantic(
+        "depth all 1e-30 m",
+        _depth_of(lambda d: np.full(d.shape, 1e-30, np.float32), encoding="32FC1"),
+        (0,),
+    ),
+    Semantic(
+        "depth noise",
+        _depth_of(lambda d: np.random.default_rng(3).integers(0, 65536, d.shape).astype(np.uint16)),
+        (0,),
+    ),
     Semantic(
         "depth one pixel",
-        _depth_of(lambda d: np.where(np.arange(d.size).reshape(d.shape) == 1500, d, 0).astype(np.uint16)),
+        _depth_of(
+            lambda d: np.where(np.arange(d.size).reshape(d.shape) == 1500, d, 0).astype(np.uint16)
+        ),
         (0,),
     ),
     Semantic("depth flat", _depth_of(lambda d: np.full_like(d, 700)), (0,)),
     Semantic(
         "depth zero from frame 1",
-        lambda es, r: _on(DEPTH, lambda k, e: e if not k else _with(e, data=np.zeros(len(e.value.data), np.uint8)))(es, r),
+        lambda es, r: _on(
+            DEPTH, lambda k, e: e if not k else _with(e, data=np.zeros(len(e.value.data), np.uint8))
+        )(es, r),
         (0,),
     ),
-    Semantic("colour black", _on(COLOUR, lambda k, e: _with(e, data=np.zeros(len(e.value.data), np.uint8))), (0,)),
+    Semantic(
+        "colour black",
+        _on(COLOUR, lambda k, e: _with(e, data=np.zeros(len(e.value.data), np.uint8))),
+        (0,),
+    ),
     Semantic("encoding nonsense", _on(DEPTH, lambda k, e: _with(e, encoding="yuv99")), (2, 3)),
-    Semantic("depth encoding 8UC1 stated", _on(DEPTH, lambda k, e: _with(e, encoding="8UC1")), (2, 3)),
+    Semantic(
+        "depth encoding 8UC1 stated", _on(DEPTH, lambda k, e: _with(e, encoding="8UC1")), (2, 3)
+    ),
     Semantic("depth data half", _image_data(DEPTH, lambda d: d[: len(d) // 2], 4), (2, 3)),
     Semantic("depth data empty", _image_data(DEPTH, lambda d: b""), (2, 3)),
-    Semantic("JPEG cut in every frame", _image_data(COLOUR, lambda d: d[: len(d) // 2]), (2, 3), "jpeg"),
-    Semantic("JPEG cut in every 4th frame", _image_data(COLOUR, lambda d: d[: len(d) // 2], 4), (2, 3), "jpeg"),
+    Semantic(
+        "JPEG cut in every frame", _image_data(COLOUR, lambda d: d[: len(d) // 2]), (2, 3), "jpeg"
+    ),
+    Semantic(
+        "JPEG cut in every 4th frame",
+        _image_data(COLOUR, lambda d: d[: len(d) // 2], 4),
+        (2, 3),
+        "jpeg",
+    ),
     Semantic(
         "JPEG cut in the last frame",
-        lambda es, r: _on(COLOUR, lambda k, e: e if k < FRAMES - 1 else _with(e, data=e.value.data[:300]))(es, r),
+        lambda es, r: _on(
+            COLOUR, lambda k, e: e if k < FRAMES - 1 else _with(e, data=e.value.data[:300])
+        )(es, r),
         (3,),
         "jpeg",
     ),
-    Semantic("JPEG zeroed in the middle", _image_data(COLOUR, lambda d: d[:400] + bytes(300) + d[700:], 4), (0, 2, 3), "jpeg"),
-    Semantic("JPEG cut, end marker put on", _image_data(COLOUR, lambda d: d[: len(d) // 2] + b"\xff\xd9", 4), (2, 3), "jpeg"),
+    Semantic(
+        "JPEG zeroed in the middle",
+        _image_data(COLOUR, lambda d: d[:400] + bytes(300) + d[700:], 4),
+        (0, 2, 3),
+        "jpeg",
+    ),
+    Semantic(
+        "JPEG cut, end marker put on",
+        _image_data(COLOUR, lambda d: d[: len(d) // 2] + b"\xff\xd9", 4),
+        (2, 3),
+        "jpeg",
+    ),
     Semantic("JPEG empty", _image_data(COLOUR, lambda d: b""), (2, 3), "jpeg"),
     Semantic("PNG cut", _image_data(DEPTH, lambda d: d[: len(d) // 2], 4), (2, 3), "jpeg", "png"),
-    Semantic("PNG cut by 30 bytes", _image_data(DEPTH, lambda d: d[:-30], 4), (2, 3), "jpeg", "png"),
-    Semantic("PNG with a flipped bit", _image_data(DEPTH, lambda d: flip(d, [len(d) * 4 + 3]), 4), (2, 3), "jpeg", "png"),
-    Semantic("compressedDepth without header", _image_data(DEPTH, lambda d: d[12:]), (0, 2, 3), "jpeg", "png"),
+    Semantic(
+        "PNG cut by 30 bytes", _image_data(DEPTH, lambda d: d[:-30], 4), (2, 3), "jpeg", "png"
+    ),
+    Semantic(
+        "PNG with a flipped bit",
+        _image_data(DEPTH, lambda d: flip(d, [len(d) * 4 + 3]), 4),
+        (2, 3),
+        "jpeg",
+        "png",
+    ),
+    Semantic(
+        "compressedDepth without header",
+        _image_data(DEPTH, lambda d: d[12:]),
+        (0, 2, 3),
+        "jpeg",
+        "png",
+    ),
     Semantic(
         "compressedDepth rvl stated, rubbish",
         lambda es, r: _on(
-            DEPTH, lambda k, e: _with(e, format="16UC1; compressedDepth rvl", data=np.frombuffer(bytes(40), np.uint8))
+            DEPTH,
+            lambda k, e: _with(
+                e, format="16UC1; compressedDepth rvl", data=np.frombuffer(bytes(40), np.uint8)
+            ),
         )(es, r),
         (2, 3),
         "jpeg",
@@ -1058,19 +1412,38 @@ SEMANTIC = (
         "jpeg",
         "png",
     ),
-    Semantic("joints NaN", _on(JOINTS, lambda k, e: _with(e, position=np.array([math.nan]))), (0, 3)),
-    Semantic("joints inf", _on(JOINTS, lambda k, e: _with(e, position=np.array([math.inf]))), (0, 3)),
-    Semantic("joints 1e300", _on(JOINTS, lambda k, e: _with(e, position=np.array([1e300]))), (0, 3)),
-    Semantic("joints without positions", _on(JOINTS, lambda k, e: _with(e, position=np.zeros(0))), (0, 3)),
+    Semantic(
+        "joints NaN", _on(JOINTS, lambda k, e: _with(e, position=np.array([math.nan]))), (0, 3)
+    ),
+    Semantic(
+        "joints inf", _on(JOINTS, lambda k, e: _with(e, position=np.array([math.inf]))), (0, 3)
+    ),
+    Semantic(
+        "joints 1e300", _on(JOINTS, lambda k, e: _with(e, position=np.array([1e300]))), (0, 3)
+    ),
+    Semantic(
+        "joints without positions", _on(JOINTS, lambda k, e: _with(e, position=np.zeros(0))), (0, 3)
+    ),
     Semantic("joints renamed", _on(JOINTS, lambda k, e: _with(e, name=["other"])), (0, 3)),
     Semantic(
-        "quaternion norm 0", _tf(lambda r, i: [transform(r, _t(i), "base_link", "flange", (0, 0, 1), (0, 0, 0, 0))]), (3,)
+        "quaternion norm 0",
+        _tf(lambda r, i: [transform(r, _t(i), "base_link", "flange", (0, 0, 1), (0, 0, 0, 0))]),
+        (3,),
     ),
     Semantic(
-        "quaternion norm 1.2", _tf(lambda r, i: [transform(r, _t(i), "base_link", "flange", (0, 0, 1), (0, 0, 0, 1.2))]), (0, 3)
+        "quaternion norm 1.2",
+        _tf(lambda r, i: [transform(r, _t(i), "base_link", "flange", (0, 0, 1), (0, 0, 0, 1.2))]),
+        (0, 3),
     ),
-    Semantic("tf translation NaN", _tf(lambda r, i: [transform(r, _t(i), "base_link", "flange", (0, math.nan, 1))]), (3,)),
-    Semantic("tf translation 1e300", _tf(lambda r, i: [transform(r, _t(i), "base_link", "flange", (0, 1e300, 1))])),
+    Semantic(
+        "tf translation NaN",
+        _tf(lambda r, i: [transform(r, _t(i), "base_link", "flange", (0, math.nan, 1))]),
+        (3,),
+    ),
+    Semantic(
+        "tf translation 1e300",
+        _tf(lambda r, i: [transform(r, _t(i), "base_link", "flange", (0, 1e300, 1))]),
+    ),
     Semantic(
         "tf cycle",
         _tf(
@@ -1080,15 +1453,32 @@ SEMANTIC = (
             ]
         ),
     ),
-    Semantic("tf frame its own parent", _tf(lambda r, i: [transform(r, _t(i), "flange", "flange", (0, 0, 1))])),
+    Semantic(
+        "tf frame its own parent",
+        _tf(lambda r, i: [transform(r, _t(i), "flange", "flange", (0, 0, 1))]),
+    ),
     Semantic("tf with empty names", _tf(lambda r, i: [transform(r, _t(i), "", "", (0, 0, 1))])),
-    Semantic("tf two parents", _tf(lambda r, i: [transform(r, _t(i), "base_link" if i % 2 else "world", "flange", (0, 0, 1))])),
+    Semantic(
+        "tf two parents",
+        _tf(
+            lambda r, i: [
+                transform(r, _t(i), "base_link" if i % 2 else "world", "flange", (0, 0, 1))
+            ]
+        ),
+    ),
     Semantic("tf empty message", _tf(lambda r, i: [])),
-    Semantic("tf jumps 1 m each frame", _tf(lambda r, i: [transform(r, _t(i), "base_link", "flange", (i, 0, 1))]), (0,)),
-    Semantic("description not XML", _on("/robot_description", lambda k, e: _with(e, data="<robot><link"))),
+    Semantic(
+        "tf jumps 1 m each frame",
+        _tf(lambda r, i: [transform(r, _t(i), "base_link", "flange", (i, 0, 1))]),
+        (0,),
+    ),
+    Semantic(
+        "description not XML", _on("/robot_description", lambda k, e: _with(e, data="<robot><link"))
+    ),
     Semantic("description empty", _on("/robot_description", lambda k, e: _with(e, data=""))),
     Semantic(
-        "description is a web page", _on("/robot_description", lambda k, e: _with(e, data="<html><body>404</body></html>"))
+        "description is a web page",
+        _on("/robot_description", lambda k, e: _with(e, data="<html><body>404</body></html>")),
     ),
     Semantic(
         "description joint cycle",
@@ -1097,39 +1487,65 @@ SEMANTIC = (
             lambda k, e: _with(
                 e,
                 data=URDF.replace(
-                    "</robot>", '<joint name="j2" type="fixed"><parent link="finger"/><child link="palm"/></joint></robot>'
+                    "</robot>",
+                    '<joint name="j2" type="fixed"><parent link="finger"/><child link="palm"/></joint></robot>',
                 ),
             ),
         ),
     ),
     Semantic(
-        "description with NaN", _on("/robot_description", lambda k, e: _with(e, data=URDF.replace("0 0 0.03", "nan 0 x")))
+        "description with NaN",
+        _on("/robot_description", lambda k, e: _with(e, data=URDF.replace("0 0 0.03", "nan 0 x"))),
     ),
     Semantic(
         "description box of size 0",
-        _on("/robot_description", lambda k, e: _with(e, data=URDF.replace("0.01 0.01 0.03", "0 0 0"))),
+        _on(
+            "/robot_description",
+            lambda k, e: _with(e, data=URDF.replace("0.01 0.01 0.03", "0 0 0")),
+        ),
     ),
     Semantic("event not JSON", _on(EVENTS, lambda k, e: _with(e, data="{close"))),
-    Semantic("event t_ns text", _on(EVENTS, lambda k, e: _with(e, data='{"event": "close", "t_ns": "now"}'))),
-    Semantic("event t_ns true", _on(EVENTS, lambda k, e: _with(e, data='{"event": "close", "t_ns": true}'))),
-    Semantic("event t_ns of 1e30", _on(EVENTS, lambda k, e: _with(e, data=json.dumps({"event": "close", "t_ns": 10**30})))),
+    Semantic(
+        "event t_ns text",
+        _on(EVENTS, lambda k, e: _with(e, data='{"event": "close", "t_ns": "now"}')),
+    ),
+    Semantic(
+        "event t_ns true",
+        _on(EVENTS, lambda k, e: _with(e, data='{"event": "close", "t_ns": true}')),
+    ),
+    Semantic(
+        "event t_ns of 1e30",
+        _on(EVENTS, lambda k, e: _with(e, data=json.dumps({"event": "close", "t_ns": 10**30}))),
+    ),
     Semantic(
         "trial_start t_ns of -1e30",
-        _on(EVENTS, lambda k, e: _with(e, data=json.dumps({"event": "trial_start", "t_ns": -(10**30)}))),
+        _on(
+            EVENTS,
+            lambda k, e: _with(e, data=json.dumps({"event": "trial_start", "t_ns": -(10**30)})),
+        ),
     ),
-    Semantic("event JSON nested 100000 deep", _on(EVENTS, lambda k, e: _with(e, data="[" * 100_000))),
+    Semantic(
+        "event JSON nested 100000 deep", _on(EVENTS, lambda k, e: _with(e, data="[" * 100_000))
+    ),
     Semantic(
         "trial_start only, at the end",
         _on(
             EVENTS,
             lambda k, e: (
-                dataclasses.replace(e, log_ns=_t(50), value=dataclasses.replace(e.value, data='{"event": "trial_start"}'))
+                dataclasses.replace(
+                    e,
+                    log_ns=_t(50),
+                    value=dataclasses.replace(e.value, data='{"event": "trial_start"}'),
+                )
                 if k
                 else None
             ),
         ),
     ),
-    Semantic("label of a number", _on(EVENTS, lambda k, e: _with(e, data='{"event": "label", "label": 7}'))),
+    Semantic(
+        "label of a number",
+        _on(EVENTS, lambda k, e: _with(e, data='{"event": "label", "label": 7}')),
+    ),
     Semantic("box outside the image", _keep, box="100,100,140,140"),
     Semantic("box far outside", _keep, box="1e9,1e9,2e9,2e9"),
     Semantic("box negative", _keep, box="-90,-90,-40,-40"),
@@ -1160,13 +1576,22 @@ def semantic_outcome(case: Semantic, path: Path, command: str, scratch: Path) ->
         code, out, err = run_cli(["inspect", str(path)])
         result = judge_cli(code, out, err, path.name, None)
     else:
-        arguments = ["replay", str(path), f"--bbox={case.box}", "--out", str(scratch), "--no-review"]
+        arguments = [
+            "replay",
+            str(path),
+            f"--bbox={case.box}",
+            "--out",
+            str(scratch),
+            "--no-review",
+        ]
         code, out, err = run_cli(arguments)
         # a wrong option is not the file's fault
         result = judge_cli(code, out, err, "--bbox" if "--bbox" in err else path.name, None)
         if result.kind != VIOLATION and code not in case.codes:
             result = Outcome(
-                VIOLATION, f"exit code {code}, expected one of {case.codes}: {err.strip()[-300:]}", lines=result.lines
+                VIOLATION,
+                f"exit code {code}, expected one of {case.codes}: {err.strip()[-300:]}",
+                lines=result.lines,
             )
     if "NaN" in err or "RuntimeWarning" in err:
         result.lines.append("warnings: " + " ".join(err.split())[:300])

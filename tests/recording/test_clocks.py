@@ -8,11 +8,15 @@ from dgeval.recording.clocks import clean_stamps, pair, tolerance_ns
 from hypothesis import given
 from hypothesis import strategies as st
 
-rising = st.lists(st.integers(1, 100), max_size=25).map(lambda steps: np.cumsum(np.array(steps, dtype=np.int64)))
+rising = st.lists(st.integers(1, 100), max_size=25).map(
+    lambda steps: np.cumsum(np.array(steps, dtype=np.int64))
+)
 
 
 @given(rising, rising, st.integers(0, 60))
-def test_pairs_are_one_to_one_in_order_and_within_tolerance(c: np.ndarray, d: np.ndarray, tolerance: int) -> None:
+def test_pairs_are_one_to_one_in_order_and_within_tolerance(
+    c: np.ndarray, d: np.ndarray, tolerance: int
+) -> None:
     pairs = pair(c, d, tolerance)
     assert len({a for a, _ in pairs}) == len({b for _, b in pairs}) == len(pairs)
     assert pairs == sorted(pairs)

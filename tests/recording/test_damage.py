@@ -18,11 +18,16 @@ import pytest
 KINDS = {
     k.name: k
     for k in d.KINDS
-    if k.name not in ("bag bz2", "bag lz4", "db3 folder", "mcap lz4", "mcap no CRC", "mcap ros1 zstd")
+    if k.name
+    not in ("bag bz2", "bag lz4", "db3 folder", "mcap lz4", "mcap no CRC", "mcap ros1 zstd")
 }
 CONTENTS = {c.name: c for c in d.SEMANTIC}
 SEEDS = 40
-FEW = {"mcap": 3, "bag": 1, "db3": 1}  # cases per mutation: opening a bag or a database costs ten times an MCAP
+FEW = {
+    "mcap": 3,
+    "bag": 1,
+    "db3": 1,
+}  # cases per mutation: opening a bag or a database costs ten times an MCAP
 # A bare database from which rows were deleted in good order is a shorter recording; only a sha256 tells.
 UNKNOWABLE = {("db3 bare", "DELETE FROM messages WHERE id > 40")}
 ALL_OF = ("count field", "SQL", "record opcode flip")
@@ -89,5 +94,7 @@ def test_wrong_contents(name: str, command: str, tmp_path: Path) -> None:
     """Exit code 0, 2 or 3 with the file named and no traceback."""
     case = CONTENTS[name]
     path = d.write_semantic(case, "mcap", tmp_path)
-    outcome = d.in_child(lambda: d.semantic_outcome(case, path, command, tmp_path / "run"), seconds=60, extra_mb=4000)
+    outcome = d.in_child(
+        lambda: d.semantic_outcome(case, path, command, tmp_path / "run"), seconds=60, extra_mb=4000
+    )
     assert outcome.kind != d.VIOLATION, outcome.detail

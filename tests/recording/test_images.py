@@ -17,8 +17,14 @@ RNG = np.random.default_rng(0)
 DEPTH = RNG.integers(0, 65536, (7, 9)).astype(np.uint16)
 
 
-def raw(array: np.ndarray, encoding: str, step: int | None = None, big: bool = False, pad: int = 0) -> SimpleNamespace:
-    rows = array.astype(array.dtype.newbyteorder(">" if big else "<")).reshape(array.shape[0], -1).view(np.uint8)
+def raw(
+    array: np.ndarray, encoding: str, step: int | None = None, big: bool = False, pad: int = 0
+) -> SimpleNamespace:
+    rows = (
+        array.astype(array.dtype.newbyteorder(">" if big else "<"))
+        .reshape(array.shape[0], -1)
+        .view(np.uint8)
+    )
     rows = np.hstack([rows, np.full((len(rows), pad), 255, np.uint8)])
     return SimpleNamespace(
         height=array.shape[0], width=array.shape[1], encoding=encoding, is_bigendian=int(big),
@@ -40,7 +46,13 @@ def test_raw_colours_keep_their_channels() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["16UC1; compressedDepth", "16UC1; compressedDepth png", "16UC1; png compressedDepth", "16UC1;compressedDepth"]
+    "text",
+    [
+        "16UC1; compressedDepth",
+        "16UC1; compressedDepth png",
+        "16UC1; png compressedDepth",
+        "16UC1;compressedDepth",
+    ],
 )
 def test_compressed_depth_round_trip_is_exact(text: str) -> None:
     data = b"\0" * 12 + cv2.imencode(".png", DEPTH)[1].tobytes()
@@ -54,7 +66,9 @@ def test_compressed_depth_of_floats() -> None:
     codes = np.round(a / z + b).astype(np.uint16)
     codes[0, 0] = 0
     data = struct.pack("<iff", 0, a, b) + cv2.imencode(".png", codes)[1].tobytes()
-    got = depth_from(decode_image(SimpleNamespace(format="32FC1; compressedDepth png", data=data)), None)
+    got = depth_from(
+        decode_image(SimpleNamespace(format="32FC1; compressedDepth png", data=data)), None
+    )
     assert got[0, 0] == 0
     assert np.allclose(got.ravel()[1:], z.ravel()[1:], rtol=0.01)
 
@@ -73,7 +87,10 @@ def test_depth_units_and_missing_readings() -> None:
         raw(DEPTH, "yuv99"),
         raw(DEPTH, "16UC1", step=4),
         SimpleNamespace(height=7, width=9, encoding="16UC1", is_bigendian=0, step=18, data=b"123"),
-        SimpleNamespace(format="jpeg", data=cv2.imencode(".jpg", np.zeros((40, 40, 3), np.uint8))[1].tobytes()[:-30]),
+        SimpleNamespace(
+            format="jpeg",
+            data=cv2.imencode(".jpg", np.zeros((40, 40, 3), np.uint8))[1].tobytes()[:-30],
+        ),
         SimpleNamespace(format="png", data=cv2.imencode(".png", DEPTH)[1].tobytes()[:40]),
         SimpleNamespace(format="jpeg", data=b"<html>"),
         SimpleNamespace(format="16UC1; compressedDepth rvl", data=b"\0" * 64),
@@ -116,10 +133,17 @@ def test_clouds_of_any_layout_give_their_points(kind: str, datatype: int, big: b
     rows = np.zeros(6, np.dtype({**layout, "itemsize": step}))
     for k, name in enumerate("xyz"):
         rows[name] = points[:, k]
-    fields = [SimpleNamespace(name=n, offset=o, datatype=datatype) for n, o in zip("zxy", layout["offsets"], strict=True)]
+    fields = [
+        SimpleNamespace(name=n, offset=o, datatype=datatype)
+        for n, o in zip("zxy", layout["offsets"], strict=True)
+    ]
     data = np.frombuffer(rows.tobytes(), np.uint8)
-    cloud = SimpleNamespace(fields=fields, is_bigendian=big, point_step=step, width=3, height=2, data=data)
-    np.testing.assert_array_equal(cloud_points(cloud), np.delete(points, 2, axis=0).astype(np.float64))
+    cloud = SimpleNamespace(
+        fields=fields, is_bigendian=big, point_step=step, width=3, height=2, data=data
+    )
+    np.testing.assert_array_equal(
+        cloud_points(cloud), np.delete(points, 2, axis=0).astype(np.float64)
+    )
     cloud.data = data[:-step]
     with pytest.raises(ValueError, match="6 points"):
         cloud_points(cloud)

@@ -115,7 +115,9 @@ def test_description_forward_kinematics_against_pinocchio() -> None:
                 node = joint.parent
             want = data.oMf[model.getFrameId(child)].homogeneous
             assert np.allclose(T, want, atol=1e-9), child
-    assert np.allclose(hand_pose(joints(1.0)) @ T_HAND_CAMERA, _camera(description, joints(1.0)), atol=1e-9)
+    assert np.allclose(
+        hand_pose(joints(1.0)) @ T_HAND_CAMERA, _camera(description, joints(1.0)), atol=1e-9
+    )
 
 
 def _camera(description: object, q: dict[str, float]) -> np.ndarray:
@@ -156,7 +158,11 @@ def test_a_description_that_is_none_is_a_usage_error() -> None:
 
 
 def test_joint_track_survives_reordered_names_and_missing_values() -> None:
-    samples = [JointSample(0, {"a": 0.0, "b": 1.0}), JointSample(10, {"b": 2.0, "a": 1.0}), JointSample(20, {"a": 2.0})]
+    samples = [
+        JointSample(0, {"a": 0.0, "b": 1.0}),
+        JointSample(10, {"b": 2.0, "a": 1.0}),
+        JointSample(20, {"a": 2.0}),
+    ]
     track = JointTrack.of(samples, 0)
     assert track.at("a", 15, 100) == pytest.approx(1.5)
     assert track.at("b", 5, 100) == pytest.approx(1.5)
@@ -164,7 +170,9 @@ def test_joint_track_survives_reordered_names_and_missing_values() -> None:
     assert track.at("c", 5, 100) is None
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"event": 3}', '{"event": "close", "t_ns": "now"}'])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", '{"event": 3}', '{"event": "close", "t_ns": "now"}']
+)
 def test_malformed_events_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"."):
         event_of(text, 0)

@@ -38,7 +38,9 @@ def entries(n: int, events: dict[int, dict[str, object]]) -> list[tuple[int, str
         out.append((t, "/rgb/image", image(t, np.full((12, 16, 3), k, np.uint8), "rgb8")))
         out.append((t, "/depth/image", image(t, np.full((12, 16), 500 + k, np.uint16), "16UC1")))
         if k in events:
-            out.append((t, "/dgeval/events", message("std_msgs/String", data=json.dumps(events[k]))))
+            out.append(
+                (t, "/dgeval/events", message("std_msgs/String", data=json.dumps(events[k])))
+            )
     return out
 
 
@@ -118,26 +120,40 @@ def test_same_messages_from_mcap_bag_and_db3(tmp_path: Path) -> None:
     with McapWriter(tmp_path / "a.mcap") as writer:
         for t, topic, value in source:
             writer.write(topic, t, value)
-    with FolderWriter(tmp_path / "folder", version=9, storage_plugin=StoragePlugin.SQLITE3) as folder:
+    with FolderWriter(
+        tmp_path / "folder", version=9, storage_plugin=StoragePlugin.SQLITE3
+    ) as folder:
         connections = {
-            n: folder.add_connection(n, "sensor_msgs/msg/Image", typestore=ros2) for n in ("/rgb/image", "/depth/image")
+            n: folder.add_connection(n, "sensor_msgs/msg/Image", typestore=ros2)
+            for n in ("/rgb/image", "/depth/image")
         }
         for t, topic, value in source:
             folder.write(connections[topic], t, ros2.serialize_cdr(value, "sensor_msgs/msg/Image"))
     types = ros1.types
     with BagWriter(tmp_path / "a.bag") as bag:
         connections1 = {
-            n: bag.add_connection(n, "sensor_msgs/msg/Image", typestore=ros1) for n in ("/rgb/image", "/depth/image")
+            n: bag.add_connection(n, "sensor_msgs/msg/Image", typestore=ros1)
+            for n in ("/rgb/image", "/depth/image")
         }
         for t, topic, value in source:
-            stamp = types["builtin_interfaces/msg/Time"](value.header.stamp.sec, value.header.stamp.nanosec)
+            stamp = types["builtin_interfaces/msg/Time"](
+                value.header.stamp.sec, value.header.stamp.nanosec
+            )
             head = types["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id="camera")
-            fields = {k: getattr(value, k) for k in ("height", "width", "encoding", "is_bigendian", "step", "data")}
+            fields = {
+                k: getattr(value, k)
+                for k in ("height", "width", "encoding", "is_bigendian", "step", "data")
+            }
             old = types["sensor_msgs/msg/Image"](header=head, **fields)
             bag.write(connections1[topic], t, ros1.serialize_ros1(old, "sensor_msgs/msg/Image"))
     config = load_config("dynamic", ("calibration.intrinsics=[20.0, 20.0, 8.0, 6.0]",))
     seen = []
-    for path in (tmp_path / "a.mcap", tmp_path / "folder", tmp_path / "folder" / "folder.db3", tmp_path / "a.bag"):
+    for path in (
+        tmp_path / "a.mcap",
+        tmp_path / "folder",
+        tmp_path / "folder" / "folder.db3",
+        tmp_path / "a.bag",
+    ):
         frames = list(open_trial(find_trials([path])[0], config).frames())
         seen.append([(f.t_ns, f.colour.tobytes(), f.depth.tobytes()) for f in frames])
     assert len(seen[0]) == 6

@@ -21,7 +21,15 @@ def frames(out: Path) -> pd.DataFrame:
 @pytest.fixture(scope="module")
 def mug(real_data: Path, dgeval: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("mug") / "run"
-    done = dgeval("replay", real_data / "kitchen_mug_mcap", "--bbox", "430,342,524,432", "--out", out, "--no-review")
+    done = dgeval(
+        "replay",
+        real_data / "kitchen_mug_mcap",
+        "--bbox",
+        "430,342,524,432",
+        "--out",
+        out,
+        "--no-review",
+    )
     assert done.returncode == 0, done.stderr
     return out
 
@@ -52,27 +60,48 @@ def test_the_second_box_is_met(mug: Path) -> None:
     assert w * h / ((x1 - x0) * (y1 - y0) + 88 * 91 - w * h) > 0.8
 
 
-def test_bag_and_mcap_of_the_same_frames_are_equal(real_data: Path, dgeval: Run, tmp_path: Path) -> None:
+def test_bag_and_mcap_of_the_same_frames_are_equal(
+    real_data: Path, dgeval: Run, tmp_path: Path
+) -> None:
     box = ("--bbox", "290,374,378,465", "--no-review")
     a = dgeval("replay", real_data / "kitchen_mug.bag", *box, "--out", tmp_path / "bag")
-    b = dgeval("replay", real_data / "kitchen_mug_mcap", "--frames", "35:55", *box, "--out", tmp_path / "mcap")
+    b = dgeval(
+        "replay",
+        real_data / "kitchen_mug_mcap",
+        "--frames",
+        "35:55",
+        *box,
+        "--out",
+        tmp_path / "mcap",
+    )
     assert (a.returncode, b.returncode) == (0, 0), a.stderr + b.stderr
     pd.testing.assert_frame_equal(frames(tmp_path / "bag"), frames(tmp_path / "mcap"))
-    rows = [pd.read_parquet(tmp_path / n / "trials.parquet").filter(like="digest_").iloc[0].tolist() for n in ("bag", "mcap")]
+    rows = [
+        pd.read_parquet(tmp_path / n / "trials.parquet").filter(like="digest_").iloc[0].tolist()
+        for n in ("bag", "mcap")
+    ]
     assert rows[0] == rows[1]
 
 
-def test_wrist_camera_folder_and_bare_file_run(real_data: Path, dgeval: Run, tmp_path: Path) -> None:
+def test_wrist_camera_folder_and_bare_file_run(
+    real_data: Path, dgeval: Run, tmp_path: Path
+) -> None:
     box = ("--bbox", "348,255,490,393", "--no-review")
     folder = dgeval("replay", real_data / "apc_wrist_db3", *box, "--out", tmp_path / "a")
-    bare = dgeval("replay", real_data / "apc_wrist_db3" / "apc_wrist_db3.db3", *box, "--out", tmp_path / "b")
+    bare = dgeval(
+        "replay", real_data / "apc_wrist_db3" / "apc_wrist_db3.db3", *box, "--out", tmp_path / "b"
+    )
     assert (folder.returncode, bare.returncode) == (0, 0), folder.stderr + bare.stderr
     pd.testing.assert_frame_equal(frames(tmp_path / "a"), frames(tmp_path / "b"))
     assert len(frames(tmp_path / "a")) == 15
 
 
-@pytest.mark.parametrize("name", ["kuka_joint_states.bag", "tf_example.bag", "tf_example", "realsense_d435.bag"])
-def test_logs_without_a_camera_are_inspected_and_refused(real_data: Path, dgeval: Run, tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    "name", ["kuka_joint_states.bag", "tf_example.bag", "tf_example", "realsense_d435.bag"]
+)
+def test_logs_without_a_camera_are_inspected_and_refused(
+    real_data: Path, dgeval: Run, tmp_path: Path, name: str
+) -> None:
     done = dgeval("inspect", real_data / name, "--json")
     assert done.returncode in (0, 3), done.stderr
     found = json.loads(done.stdout)

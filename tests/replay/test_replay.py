@@ -19,7 +19,19 @@ from dgeval.recording.scan import scan
 from dgeval.recording.trials import open_trial
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
-DIGESTS = [f"digest_{s}" for s in ("input", "tracking", "registration", "fusion", "estimation", "grasps", "servo", "execution")]
+DIGESTS = [
+    f"digest_{s}"
+    for s in (
+        "input",
+        "tracking",
+        "registration",
+        "fusion",
+        "estimation",
+        "grasps",
+        "servo",
+        "execution",
+    )
+]
 
 
 def trials(folder: Path) -> pd.DataFrame:
@@ -41,7 +53,9 @@ def test_feature_moves_with_the_true_object(demo: Path, frames: pd.DataFrame) ->
     """In the base frame, through joints, description, hand–eye, tracking and registration, to 2 mm."""
     truth = scan(open_container(demo)).poses["/truth/object_pose"]
     T0 = matrix_from_pose(truth[0].pose)
-    seen = frames[frames["icp_accepted"].fillna(False).to_numpy(dtype=bool) & (frames["n_observed"] > 900)]
+    seen = frames[
+        frames["icp_accepted"].fillna(False).to_numpy(dtype=bool) & (frames["n_observed"] > 900)
+    ]
     local = []
     for row in seen.to_dict("records"):
         T = matrix_from_pose(truth[row["frame"]].pose)
@@ -116,7 +130,9 @@ def digests(folder: Path) -> list[list[str]]:
     return table[DIGESTS].to_numpy().tolist()
 
 
-def test_same_digests_for_any_jobs_name_and_repetition(dgeval: Run, demo: Path, two_trials: Path, tmp_path: Path) -> None:
+def test_same_digests_for_any_jobs_name_and_repetition(
+    dgeval: Run, demo: Path, two_trials: Path, tmp_path: Path
+) -> None:
     outs = []
     for i, extra in enumerate((["--jobs", "1"], ["--jobs", "2"])):
         out = tmp_path / f"r{i}"
@@ -126,25 +142,50 @@ def test_same_digests_for_any_jobs_name_and_repetition(dgeval: Run, demo: Path, 
     assert outs[0] == outs[1]
     renamed = tmp_path / "another name é.mcap"
     shutil.copy(demo, renamed)
-    done = dgeval("replay", renamed, "--frames", "0:14", "--out", tmp_path / "r2", "--no-review", "--check-determinism")
+    done = dgeval(
+        "replay",
+        renamed,
+        "--frames",
+        "0:14",
+        "--out",
+        tmp_path / "r2",
+        "--no-review",
+        "--check-determinism",
+    )
     assert done.returncode == 0, done.stderr
     assert "same bytes twice" in done.stderr
     assert digests(tmp_path / "r2")[0] == outs[0][0]
-    done = dgeval("replay", renamed, "--frames", "0:14", "--out", tmp_path / "r3", "--no-review", "--set", "seed=1")
+    done = dgeval(
+        "replay",
+        renamed,
+        "--frames",
+        "0:14",
+        "--out",
+        tmp_path / "r3",
+        "--no-review",
+        "--set",
+        "seed=1",
+    )
     other = digests(tmp_path / "r3")[0]
     assert other[2] != outs[0][0][2]
     assert other[0] == outs[0][0][0]
 
 
-def test_finished_trials_are_kept_and_interrupted_ones_done_again(dgeval: Run, two_trials: Path, tmp_path: Path) -> None:
+def test_finished_trials_are_kept_and_interrupted_ones_done_again(
+    dgeval: Run, two_trials: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "run"
     assert dgeval("replay", two_trials, "--out", out, "--no-review").returncode == 0
     before = digests(out)
     (out / "trials" / "later.json").unlink()
     (out / "frames" / "later.parquet").write_bytes(b"half a file")
     again = dgeval("replay", two_trials, "--out", out, "--no-review")
-    assert "kept from before" in next(line for line in again.stdout.splitlines() if line.startswith("early:"))
-    assert "kept from before" not in next(line for line in again.stdout.splitlines() if line.startswith("later:"))
+    assert "kept from before" in next(
+        line for line in again.stdout.splitlines() if line.startswith("early:")
+    )
+    assert "kept from before" not in next(
+        line for line in again.stdout.splitlines() if line.startswith("later:")
+    )
     assert digests(out) == before
     changed = dgeval("replay", two_trials, "--out", out, "--no-review", "--set", "fusion.n_s=3")
     assert "kept from before" not in changed.stdout
@@ -152,7 +193,9 @@ def test_finished_trials_are_kept_and_interrupted_ones_done_again(dgeval: Run, t
 
 
 def test_json_is_the_only_thing_on_standard_output(dgeval: Run, demo: Path, tmp_path: Path) -> None:
-    done = dgeval("replay", demo, "--frames", "0:4", "--out", tmp_path / "r", "--no-review", "--json")
+    done = dgeval(
+        "replay", demo, "--frames", "0:4", "--out", tmp_path / "r", "--no-review", "--json"
+    )
     assert json.loads(done.stdout)["trials"][0]["n_frames"] == 4
     bad = dgeval("replay", tmp_path / "absent.mcap", "--out", tmp_path / "r", "--json")
     assert bad.returncode == 2
@@ -172,7 +215,9 @@ def test_json_is_the_only_thing_on_standard_output(dgeval: Run, demo: Path, tmp_
         ("--set", "roles.colour=/nothing"),
     ],
 )
-def test_wrong_calls_end_with_2_and_a_sentence(dgeval: Run, demo: Path, tmp_path: Path, arguments: tuple[str, ...]) -> None:
+def test_wrong_calls_end_with_2_and_a_sentence(
+    dgeval: Run, demo: Path, tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
     done = dgeval("replay", demo, "--out", tmp_path / "r", "--no-review", *arguments)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
@@ -193,7 +238,17 @@ def test_a_box_in_a_later_frame_starts_there(demo: Path, dgeval: Run, tmp_path: 
 
 
 def test_box_tracker_runs_the_same_path(dgeval: Run, demo: Path, tmp_path: Path) -> None:
-    done = dgeval("replay", demo, "--frames", "0:20", "--out", tmp_path / "r", "--no-review", "--set", "tracking.method=csrt")
+    done = dgeval(
+        "replay",
+        demo,
+        "--frames",
+        "0:20",
+        "--out",
+        tmp_path / "r",
+        "--no-review",
+        "--set",
+        "tracking.method=csrt",
+    )
     assert done.returncode == 0, done.stderr
     table = pd.read_parquet(tmp_path / "r" / "frames" / "demo.parquet")
     assert table["icp_accepted"].sum() >= 15
@@ -202,9 +257,19 @@ def test_box_tracker_runs_the_same_path(dgeval: Run, demo: Path, tmp_path: Path)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["open3d", "kiss_icp"])
-def test_other_registration_libraries_reach_the_same_velocity(dgeval: Run, demo: Path, tmp_path: Path, method: str) -> None:
+def test_other_registration_libraries_reach_the_same_velocity(
+    dgeval: Run, demo: Path, tmp_path: Path, method: str
+) -> None:
     done = dgeval(
-        "replay", demo, "--frames", "0:24", "--out", tmp_path / "r", "--no-review", "--set", f"registration.method={method}"
+        "replay",
+        demo,
+        "--frames",
+        "0:24",
+        "--out",
+        tmp_path / "r",
+        "--no-review",
+        "--set",
+        f"registration.method={method}",
     )
     assert done.returncode == 0, done.stderr
     table = pd.read_parquet(tmp_path / "r" / "frames" / "demo.parquet")
@@ -231,6 +296,12 @@ def test_inspect_names_roles_events_and_answers(dgeval: Run, demo: Path) -> None
     found = json.loads(done.stdout)
     assert found["roles"]["colour"] == "/camera/color/image_raw/compressed"
     assert found["roles"]["camera_pose"] == "base_link → camera_color_optical_frame"
-    assert [e["event"] for e in found["events"]] == ["trial_start", "close", "lift", "label", "trial_end"]
+    assert [e["event"] for e in found["events"]] == [
+        "trial_start",
+        "close",
+        "lift",
+        "label",
+        "trial_end",
+    ]
     assert all(a["can"] for a in found["answers"])
     assert "CRC-32" in found["checksums"]

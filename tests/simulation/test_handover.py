@@ -28,7 +28,9 @@ THINGS = ten_objects()
 
 def presenter(index: int = 0, tremor: float = 0.003) -> Presenter:
     rng = generator(0, "test presenter", index)
-    return drawn(rng, THINGS["pudding_box"].extent(), 0.47, 0.0, 0.3, tremor, np.radians(1.5) * (tremor > 0))
+    return drawn(
+        rng, THINGS["pudding_box"].extent(), 0.47, 0.0, 0.3, tremor, np.radians(1.5) * (tremor > 0)
+    )
 
 
 def test_the_presenter_arrives_slows_down_and_trembles() -> None:
@@ -36,7 +38,10 @@ def test_the_presenter_arrives_slows_down_and_trembles() -> None:
     still = presenter(tremor=0.0)
     np.testing.assert_allclose(still.pose(0.0)[0], still.start, atol=1e-12)
     np.testing.assert_allclose(still.pose(still.arrive + 1)[0], still.end, atol=1e-12)
-    step = [np.linalg.norm(still.pose(t + 0.01)[0] - still.pose(t)[0]) / 0.01 for t in np.linspace(0, still.arrive, 60)]
+    step = [
+        np.linalg.norm(still.pose(t + 0.01)[0] - still.pose(t)[0]) / 0.01
+        for t in np.linspace(0, still.arrive, 60)
+    ]
     assert step[0] < 0.02
     assert step[-1] < 0.02
     assert 0.2 < max(step) < 0.6  # m/s; minimum jerk is at most 1.875 times its mean
@@ -53,7 +58,10 @@ def test_the_twin_stays_with_the_presenter() -> None:
         # the grip is soft and critically damped: it lags by twice its time constant of 50 ms
         behind = p.pose(max(0.0, k * 0.01 - 0.1))[0]
         assert np.linalg.norm(twin[k, :3] - behind) < 0.008
-        turn = matrix_of(twin[k, :7])[:3, :3].T @ matrix_of(np.concatenate([position, quaternion]))[:3, :3]
+        turn = (
+            matrix_of(twin[k, :7])[:3, :3].T
+            @ matrix_of(np.concatenate([position, quaternion]))[:3, :3]
+        )
         assert np.degrees(rotation_angle(turn)) < 8
 
 
@@ -97,7 +105,8 @@ def test_a_handover_ends_with_the_object_in_the_robots_hand_alone(scenario: Scen
     scene = scene_from(run, world, 7)
     assert scene.held
     failed = [
-        Twin(scene, solid_from_cloud(scene.points, held=True), (0.0, dy, 0.0), 1.0, 1.0).approach() for dy in (0.0, 0.002)
+        Twin(scene, solid_from_cloud(scene.points, held=True), (0.0, dy, 0.0), 1.0, 1.0).approach()
+        for dy in (0.0, 0.002)
     ]
     assert not all(failed)
 

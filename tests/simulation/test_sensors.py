@@ -23,7 +23,9 @@ from dgeval.simulation.sensors import (
 )
 
 SIZES = [(640, 480), (424, 240)]
-SHARP = replace(D435, subpixel_sigma=0.0, flying=0.0, edge_hole=0.0, min_range=0.1)  # geometry without chance
+SHARP = replace(
+    D435, subpixel_sigma=0.0, flying=0.0, edge_hole=0.0, min_range=0.1
+)  # geometry without chance
 
 
 def flat(camera: Intrinsics, z: float) -> Image32:
@@ -46,9 +48,12 @@ def disparity(camera: Intrinsics, profile: DepthProfile, z: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("size", "depth", "colour"), [((640, 480), 385, 620.8), ((424, 240), 212.6, 310.4), ((1280, 720), 641.7, 931.2)]
+    ("size", "depth", "colour"),
+    [((640, 480), 385, 620.8), ((424, 240), 212.6, 310.4), ((1280, 720), 641.7, 931.2)],
 )
-def test_focal_lengths_are_those_of_the_streams_of_a_d435(size: tuple[int, int], depth: float, colour: float) -> None:
+def test_focal_lengths_are_those_of_the_streams_of_a_d435(
+    size: tuple[int, int], depth: float, colour: float
+) -> None:
     """Scaling with width alone, which is 20 % wrong in 4:3: real ones have 383, 211, 638 and 612, 306, 919 px."""
     assert depth_intrinsics(D435, *size).fx == pytest.approx(depth, abs=0.1)
     assert colour_intrinsics(D435, *size).fx == pytest.approx(colour, abs=0.1)
@@ -58,11 +63,15 @@ def test_focal_lengths_are_those_of_the_streams_of_a_d435(size: tuple[int, int],
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("z", [0.3, 0.5, 0.8, 1.2])
-def test_noise_of_a_wall_is_that_of_the_formula_without_bias(size: tuple[int, int], z: float) -> None:
+def test_noise_of_a_wall_is_that_of_the_formula_without_bias(
+    size: tuple[int, int], z: float
+) -> None:
     """Noise in metres instead of disparity, a wrong kernel norm, one-sided rounding."""
     camera = depth_intrinsics(D435, *size)
     errors = []
-    for k in range(4):  # a quarter millimetre apart, since the rounding to 1 mm depends on where the wall is
+    for k in range(
+        4
+    ):  # a quarter millimetre apart, since the rounding to 1 mm depends on where the wall is
         depth = shoot(flat(camera, z + k * 0.00025), camera, D435, k)
         errors.append(depth[depth > 0] * 0.001 - (z + k * 0.00025))
     error = np.concatenate(errors)
@@ -75,10 +84,14 @@ def test_noise_of_a_wall_is_that_of_the_formula_without_bias(size: tuple[int, in
 def test_noise_is_smooth_over_a_matching_window() -> None:
     """White noise, which averages away far faster than a stereo camera's, or noise that is weaker at the border."""
     noise = sensors._noise((480, 640), 2.0, generator(1, "n", 0))
-    assert np.corrcoef(noise[:, :-1].ravel(), noise[:, 1:].ravel())[0, 1] == pytest.approx(np.exp(-1 / 16), abs=0.01)
+    assert np.corrcoef(noise[:, :-1].ravel(), noise[:, 1:].ravel())[0, 1] == pytest.approx(
+        np.exp(-1 / 16), abs=0.01
+    )
     assert abs(np.corrcoef(noise[:, :-14].ravel(), noise[:, 14:].ravel())[0, 1]) < 0.05
     assert noise.std() == pytest.approx(1, abs=0.03)
-    assert np.concatenate([noise[:2].ravel(), noise[:, -2:].ravel()]).std() == pytest.approx(1, abs=0.12)
+    assert np.concatenate([noise[:2].ravel(), noise[:, -2:].ravel()]).std() == pytest.approx(
+        1, abs=0.12
+    )
     assert np.mean(noise**4) == pytest.approx(3, abs=0.2)
 
 
@@ -95,7 +108,9 @@ def test_noise_grows_with_slope() -> None:
 
 @pytest.mark.parametrize("profile", [D435, D405])
 @pytest.mark.parametrize("size", SIZES)
-def test_nothing_is_measured_below_the_minimum_range(profile: DepthProfile, size: tuple[int, int]) -> None:
+def test_nothing_is_measured_below_the_minimum_range(
+    profile: DepthProfile, size: tuple[int, int]
+) -> None:
     """Noise or mixed values that leak below it, a step instead of a ramp, a limit that moves with the size of the image."""
     camera = depth_intrinsics(profile, *size)
     nearest = profile.min_range
@@ -103,7 +118,10 @@ def test_nothing_is_measured_below_the_minimum_range(profile: DepthProfile, size
     slanted = shoot(tilted(camera, nearest, 0.3), camera, profile)
     assert slanted[slanted > 0].min() >= round(nearest * 1000)
     seen = slice(None), slice(int(disparity(camera, profile, nearest)) + 2, None)
-    shares = [np.mean(shoot(flat(camera, nearest * k), camera, profile)[seen] > 0) for k in (1.03, 1.07, 1.2)]
+    shares = [
+        np.mean(shoot(flat(camera, nearest * k), camera, profile)[seen] > 0)
+        for k in (1.03, 1.07, 1.2)
+    ]
     assert 0.1 < shares[0] < shares[1] < 0.9
     assert shares[2] == 1
 
@@ -112,7 +130,9 @@ def test_nothing_is_measured_beyond_the_maximum_range_or_the_range_of_the_counts
     camera = depth_intrinsics(D435, 424, 240)
     assert not shoot(flat(camera, 10.5), camera, SHARP).any()
     assert shoot(flat(camera, 9.5), camera, SHARP).any()
-    assert not shoot(flat(camera, 80.0), camera, replace(D435, max_range=1000.0, subpixel_sigma=0.0)).any()
+    assert not shoot(
+        flat(camera, 80.0), camera, replace(D435, max_range=1000.0, subpixel_sigma=0.0)
+    ).any()
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -94,7 +94,12 @@ def test_close_too_early_is_timing(campaign: Campaign) -> None:
 @pytest.mark.slow
 def test_close_too_late_after_drifting_off_is_timing_not_collision(campaign: Campaign) -> None:
     """The drifting hand pushes the box by centimetres, but putting it back would not have helped."""
-    found = truth(campaign, plan("pudding_box", Faults(evaluator_bias=0.25, velocity_bias=(0, 0.05, 0), close_shift=1.0)))
+    found = truth(
+        campaign,
+        plan(
+            "pudding_box", Faults(evaluator_bias=0.25, velocity_bias=(0, 0.05, 0), close_shift=1.0)
+        ),
+    )
     assert (found.failure_class, found.sub_cause) == ("timing", "late")
     assert found.facts is not None
     assert found.facts.displacement_m > 0.02
@@ -105,7 +110,9 @@ def test_offset_that_no_close_time_can_save_is_imprecise(campaign: Campaign) -> 
     assert found.failure_class == "imprecise_pose"
     assert not any(success for _, success in found.curve)
     assert found.pose_error_m is not None
-    assert 0.008 <= found.pose_error_m <= 0.03, "more than a good grasp forgives, no more than what was put in"
+    assert 0.008 <= found.pose_error_m <= 0.03, (
+        "more than a good grasp forgives, no more than what was put in"
+    )
 
 
 def test_sweep_that_knocks_the_object_off_its_path_is_collision(campaign: Campaign) -> None:
@@ -123,7 +130,10 @@ def test_harmless_contact_in_a_success_has_no_class(campaign: Campaign) -> None:
 
 def test_closing_again_at_the_real_close_ends_as_it_did(campaign: Campaign) -> None:
     """Catches: a state restored without the drives' set points, another policy in the what-if than in the trial."""
-    for wanted in (plan("pudding_box"), plan("rubiks_cube", Faults(grasp_offset=(0, 0.03, 0, 0, 0, 0)))):
+    for wanted in (
+        plan("pudding_box"),
+        plan("rubiks_cube", Faults(grasp_offset=(0, 0.03, 0, 0, 0, 0))),
+    ):
         run, world = simulate(campaign, wanted)
         assert run.close is not None
         assert run.finish is not None
@@ -155,8 +165,12 @@ def test_a_fault_taken_out_is_gone_and_the_others_stay() -> None:
 def test_blame_needs_a_failure_that_repeats_and_one_removal_that_mends() -> None:
     wanted = plan("mug", Faults(latency=0.1, descent=2.0))
     assert blame(wanted, lambda p: p.faults.latency == 0)["fault"] == "latency"
-    assert blame(wanted, lambda p: not p.faults.present())["fault"] == "combined", "both removals are needed"
-    assert blame(wanted, lambda p: len(p.faults.present()) < 2)["fault"] == "combined", "either removal mends"
+    assert blame(wanted, lambda p: not p.faults.present())["fault"] == "combined", (
+        "both removals are needed"
+    )
+    assert blame(wanted, lambda p: len(p.faults.present()) < 2)["fault"] == "combined", (
+        "either removal mends"
+    )
     assert blame(wanted, lambda _: True)["fault"] == "combined", "it does not fail again"
     assert blame(plan("mug"), lambda _: False)["fault"] is None
 
@@ -190,14 +204,26 @@ def hashes(folder: Path) -> dict[str, str]:
 
 
 def test_recordings_are_the_same_bytes_for_any_number_of_workers(tiny: Path, dgeval: Run) -> None:
-    assert dgeval("simulate", tiny / "tiny.toml", "--out", tiny / "b", "--jobs", "2").returncode == 0
+    assert (
+        dgeval("simulate", tiny / "tiny.toml", "--out", tiny / "b", "--jobs", "2").returncode == 0
+    )
     assert len(hashes(tiny / "a")) == 2
     assert hashes(tiny / "a") == hashes(tiny / "b")
     assert (tiny / "a" / "tiny.toml").read_bytes() == (tiny / "b" / "tiny.toml").read_bytes()
 
 
 def test_another_seed_gives_other_recordings(tiny: Path, dgeval: Run) -> None:
-    done = dgeval("simulate", tiny / "tiny.toml", "--out", tiny / "seed", "--seed", "1", "--trials", "1", "--json")
+    done = dgeval(
+        "simulate",
+        tiny / "tiny.toml",
+        "--out",
+        tiny / "seed",
+        "--seed",
+        "1",
+        "--trials",
+        "1",
+        "--json",
+    )
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert len(document["trials"]) == 1
@@ -244,7 +270,9 @@ def test_self_filter_finds_the_hand_that_the_camera_sees(egl: None) -> None:
         hand, thing = eyes.mask_of(world.hand_geoms), eyes.mask()
         # the quick mask is the other one, also of an object that fingers hide in part
         assert np.array_equal(eyes.look(0, mask=True)[2], thing)
-        between = transform(world.T_base_hand(), (GRASP_CENTRE + np.array([0.0, 0.0, 0.08]))[None])[0]
+        between = transform(world.T_base_hand(), (GRASP_CENTRE + np.array([0.0, 0.0, 0.08]))[None])[
+            0
+        ]
         world.put_object(np.concatenate([between, [1.0, 0.0, 0.0, 0.0]]), np.zeros(6))
         behind = eyes.mask()
         assert np.array_equal(eyes.look(0, mask=True)[2], behind)

@@ -32,7 +32,9 @@ THINGS = eight_objects()
 
 def test_published_sizes() -> None:
     """YCB's cracker box, chips can, can and bowl in mm."""
-    sizes = {n: sorted(THINGS[n].extent() * 1000) for n in ("cracker_box", "chips_can", "can", "bowl")}
+    sizes = {
+        n: sorted(THINGS[n].extent() * 1000) for n in ("cracker_box", "chips_can", "can", "bowl")
+    }
     assert sizes["cracker_box"] == pytest.approx([60, 158, 210])
     assert sizes["chips_can"] == pytest.approx([75, 75, 250])
     assert sizes["can"] == pytest.approx([66, 66, 101])
@@ -50,7 +52,9 @@ def test_arrangements_hold_each_object_as_often_and_stand_apart() -> None:
         placed = [(p.object, p.x, p.y), *(o[:3] for o in p.others)]
         for i, (a, ax, ay) in enumerate(placed):
             for b, bx, by in placed[:i]:
-                reach = (np.linalg.norm(THINGS[a].extent()[:2]) + np.linalg.norm(THINGS[b].extent()[:2])) / 2
+                reach = (
+                    np.linalg.norm(THINGS[a].extent()[:2]) + np.linalg.norm(THINGS[b].extent()[:2])
+                ) / 2
                 assert np.hypot(ax - bx, ay - by) > reach
     assert plans[0].others == plans[40].others
 
@@ -64,7 +68,9 @@ def test_turntable_and_handover_plans_are_the_papers() -> None:
     assert all(np.radians(60) <= p.turn.angle <= np.radians(120) for p in plans if p.turn)
     scenario = load_scenario("vfas-handover")
     plans = [plan_vfas(scenario, THINGS, 0, k) for k in range(scenario.trials)]
-    assert Counter(p.object for p in plans) == dict.fromkeys(("bowl", "bottle", "small_box", "mustard"), 24)
+    assert Counter(p.object for p in plans) == dict.fromkeys(
+        ("bowl", "bottle", "small_box", "mustard"), 24
+    )
     ahead = waiting_pose()[:3, 3] + 0.15 * waiting_pose()[:3, 2]
     for p in plans:
         assert p.presenter is not None
@@ -85,7 +91,9 @@ def test_disc_carries_the_object_through_its_angle() -> None:
     middle = (turned[200] - turned[100]) / 1.0
     assert middle == pytest.approx(-2 * np.pi / 10, rel=0.02)
     assert path[-1, 2] == pytest.approx(THINGS["can"].rest_height() + TURNTABLE_TOP, abs=0.001)
-    assert np.degrees(2 * np.arccos(abs(path[-1, 3]))) == pytest.approx(90, abs=2)  # it turns with the disc
+    assert np.degrees(2 * np.arccos(abs(path[-1, 3]))) == pytest.approx(
+        90, abs=2
+    )  # it turns with the disc
     assert matrix_of(path[-1, :7])[2, 2] > 0.999
 
 
@@ -102,7 +110,9 @@ def test_description_and_physics_have_the_same_gripper() -> None:
     assert np.allclose(joint.at(TRAVEL), T_left, atol=1e-6)
     assert T_left[0, 3] == pytest.approx(TRAVEL)
     palm = description.joints["palm_link"]
-    assert np.allclose(pose_of(world.data, "hand_base") @ palm.origin, world.T_base_palm(), atol=1e-6)
+    assert np.allclose(
+        pose_of(world.data, "hand_base") @ palm.origin, world.T_base_palm(), atol=1e-6
+    )
 
 
 def test_jaws_close_at_their_speed() -> None:
@@ -122,9 +132,20 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:  # 
 
 
 @pytest.mark.slow
-def test_replay_plans_from_the_recording_what_the_loop_did(recorded: tuple[Path, dict], tmp_path: Path) -> None:  # type: ignore[type-arg]
+def test_replay_plans_from_the_recording_what_the_loop_did(
+    recorded: tuple[Path, dict], tmp_path: Path
+) -> None:  # type: ignore[type-arg]
     path, truth = recorded
-    args = ["replay", str(path), "--pipeline", "vfas", "--out", str(tmp_path / "run"), "--no-review", "--json"]
+    args = [
+        "replay",
+        str(path),
+        "--pipeline",
+        "vfas",
+        "--out",
+        str(tmp_path / "run"),
+        "--no-review",
+        "--json",
+    ]
     result = CliRunner().invoke(app, args)
     assert result.exit_code == 0, result.output
     row = pd.read_parquet(tmp_path / "run" / "trials.parquet").iloc[0]
@@ -137,7 +158,9 @@ def test_replay_plans_from_the_recording_what_the_loop_did(recorded: tuple[Path,
     # the same stages on the same images: the loop's grasp at each frame is replay's, to what joint noise and clocks allow
     believed = _believed(path)
     apart = [
-        np.linalg.norm(r[["grasp_px", "grasp_py", "grasp_pz"]].to_numpy(float) - believed[r["t_ns"]])
+        np.linalg.norm(
+            r[["grasp_px", "grasp_py", "grasp_pz"]].to_numpy(float) - believed[r["t_ns"]]
+        )
         for _, r in before.iterrows()
         if r["t_ns"] in believed and not np.isnan(r["grasp_px"])
     ]
@@ -146,9 +169,20 @@ def test_replay_plans_from_the_recording_what_the_loop_did(recorded: tuple[Path,
     assert before["grasp_score"].max() > 0.5
     assert before["region_factor"].min() == 1.0
     for run in ("a", "b"):
-        short = [*args[:4], "--frames", "0:8", "--out", str(tmp_path / run), "--no-review", "--json"]
+        short = [
+            *args[:4],
+            "--frames",
+            "0:8",
+            "--out",
+            str(tmp_path / run),
+            "--no-review",
+            "--json",
+        ]
         assert CliRunner().invoke(app, short).exit_code == 0
-    a, b = (pd.read_parquet(tmp_path / run / "trials.parquet").filter(like="digest_") for run in ("a", "b"))
+    a, b = (
+        pd.read_parquet(tmp_path / run / "trials.parquet").filter(like="digest_")
+        for run in ("a", "b")
+    )
     assert a.equals(b)
 
 
@@ -160,7 +194,9 @@ def _believed(path: Path) -> dict[int, np.ndarray]:
 
 def test_unknown_scenario_parts_are_refused(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text('name = "s"\n[pipeline]\npipeline = "vfas"\n')
-    result = CliRunner().invoke(app, ["simulate", str(tmp_path / "s.toml"), "--out", str(tmp_path / "o"), "--no-images"])
+    result = CliRunner().invoke(
+        app, ["simulate", str(tmp_path / "s.toml"), "--out", str(tmp_path / "o"), "--no-images"]
+    )
     assert result.exit_code == 2
     assert "turntable" in result.output
 

@@ -14,18 +14,25 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 def test_review_is_accepted_by_rerun_and_small(demo_run: Path, demo: Path) -> None:
     file = demo_run / "review" / "demo.rrd"
     done = subprocess.run(
-        [sys.executable, "-m", "rerun", "rrd", "verify", str(file)], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(file)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     assert file.stat().st_size < demo.stat().st_size
 
 
-def test_review_content_is_the_same_twice(demo_run: Path, demo: Path, dgeval: Run, tmp_path: Path) -> None:
+def test_review_content_is_the_same_twice(
+    demo_run: Path, demo: Path, dgeval: Run, tmp_path: Path
+) -> None:
     from dgeval.rerun_view import content_digest
 
     done = dgeval("replay", demo, "--out", tmp_path / "again")
     assert done.returncode == 0, done.stderr
-    first, second = (content_digest(p / "review" / "demo.rrd") for p in (demo_run, tmp_path / "again"))
+    first, second = (
+        content_digest(p / "review" / "demo.rrd") for p in (demo_run, tmp_path / "again")
+    )
     assert first == second
 
 
@@ -37,7 +44,9 @@ def test_view_names_the_file_or_what_is_there(demo_run: Path, dgeval: Run) -> No
     assert "demo" in missing.stderr
 
 
-def test_report_stands_alone_and_tells_the_trial(demo_run: Path, dgeval: Run, tmp_path: Path) -> None:
+def test_report_stands_alone_and_tells_the_trial(
+    demo_run: Path, dgeval: Run, tmp_path: Path
+) -> None:
     done = dgeval("report", demo_run, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

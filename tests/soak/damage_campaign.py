@@ -28,7 +28,9 @@ import dgeval.runs.trial_job
 import dgeval.runs.workers  # noqa: F401
 from dgeval.cli import app  # noqa: F401
 
-PEAK_MB = 1024  # more resident memory than this, over what the campaign itself holds, is a violation
+PEAK_MB = (
+    1024  # more resident memory than this, over what the campaign itself holds, is a violation
+)
 
 
 class Report:
@@ -54,31 +56,51 @@ class Report:
         """Violations that differ in numbers only, counted, with the first of each."""
         groups: dict[str, list[str]] = defaultdict(list)
         for line in self.violations:
-            groups[re.sub(r"[0-9]+", "N", line.split(": ", 1)[1] if " / " in line else line)[:90]].append(line)
-        return "\n".join(f"{len(v):4d}  {v[0][:600]}" for v in sorted(groups.values(), key=len, reverse=True))
+            groups[
+                re.sub(r"[0-9]+", "N", line.split(": ", 1)[1] if " / " in line else line)[:90]
+            ].append(line)
+        return "\n".join(
+            f"{len(v):4d}  {v[0][:600]}" for v in sorted(groups.values(), key=len, reverse=True)
+        )
 
     def table(self, containers: set[str] | None = None) -> str:
         kinds = [
-            k for k in (*d.OUTCOMES, "exit 0", "exit 2", "exit 3", d.STDOUT_ONLY) if any(c[k] for c in self.counts.values())
+            k
+            for k in (*d.OUTCOMES, "exit 0", "exit 2", "exit 3", d.STDOUT_ONLY)
+            if any(c[k] for c in self.counts.values())
         ]
-        lines = ["| container | mutation | " + " | ".join(kinds) + " |", "|---|---|" + "---:|" * len(kinds)]
+        lines = [
+            "| container | mutation | " + " | ".join(kinds) + " |",
+            "|---|---|" + "---:|" * len(kinds),
+        ]
         total: Counter[str] = Counter()
         for (container, row), count in sorted(self.counts.items()):
             if containers is None or container in containers:
-                lines.append(f"| {container} | {row} | " + " | ".join(str(count[k] or "") for k in kinds) + " |")
+                lines.append(
+                    f"| {container} | {row} | "
+                    + " | ".join(str(count[k] or "") for k in kinds)
+                    + " |"
+                )
                 total += count
         lines.append("| **all** | | " + " | ".join(f"**{total[k]}**" for k in kinds) + " |")
         return "\n".join(lines)
 
 
-def damage_bytes(report: Report, kinds: list[d.Kind], seeds: int, cli_every: int, scratch: Path) -> None:
+def damage_bytes(
+    report: Report, kinds: list[d.Kind], seeds: int, cli_every: int, scratch: Path
+) -> None:
     """Mutations of bytes: the reader on all, the command line on every n-th of each row."""
     for kind in kinds:
         good = d.make_good(kind, _fresh(scratch, kind.name.replace(" ", "-").replace(",", "")))
         met: Counter[str] = Counter()
         for batch in _batches(d.cases(good, seeds), 40):
-            paths = [d.place_case(good, case, _fresh(scratch, f"case{i}")) for i, case in enumerate(batch)]
-            outcomes = d.in_children([partial(d.read_outcome, p, good.messages, kind.checked) for p in paths])
+            paths = [
+                d.place_case(good, case, _fresh(scratch, f"case{i}"))
+                for i, case in enumerate(batch)
+            ]
+            outcomes = d.in_children(
+                [partial(d.read_outcome, p, good.messages, kind.checked) for p in paths]
+            )
             for case, path, outcome in zip(batch, paths, outcomes, strict=True):
                 report.add(kind.name, case.mutation, case.detail, outcome)
                 met[case.mutation] += 1
@@ -93,15 +115,21 @@ def _batches(items: Iterable[d.Case], size: int) -> Iterator[list[d.Case]]:
         yield batch
 
 
-def _through_cli(report: Report, kind: d.Kind, case: d.Case, path: Path, outcome: d.Outcome, scratch: Path) -> None:
+def _through_cli(
+    report: Report, kind: d.Kind, case: d.Case, path: Path, outcome: d.Outcome, scratch: Path
+) -> None:
     intact: bool | None = None
     if outcome.kind in (d.COMPLETE_SAID, d.PREFIX, d.ERROR, d.OTHER_ORDER, d.CHANGED_SAID):
         intact = False
     elif outcome.kind == d.COMPLETE:
         intact = True
     for command in ("inspect", "replay"):
-        result = d.in_child(lambda c=command: _cli(c, path, intact, scratch), seconds=60, extra_mb=3000)
-        report.add(f"cli {command}, {kind.layout}", case.mutation, f"{kind.name}, {case.detail}", result)
+        result = d.in_child(
+            lambda c=command: _cli(c, path, intact, scratch), seconds=60, extra_mb=3000
+        )
+        report.add(
+            f"cli {command}, {kind.layout}", case.mutation, f"{kind.name}, {case.detail}", result
+        )
 
 
 def _cli(command: str, path: Path, intact: bool | None, scratch: Path) -> d.Outcome:
@@ -114,7 +142,9 @@ def _cli(command: str, path: Path, intact: bool | None, scratch: Path) -> d.Outc
 
 def _cli_new(path: Path, scratch: Path) -> d.Outcome:
     out = _fresh(scratch, "run") / "new"
-    return d.judge_cli(*d.run_cli(["replay", str(path), "--out", str(out), "--no-review"]), path.name, False)
+    return d.judge_cli(
+        *d.run_cli(["replay", str(path), "--out", str(out), "--no-review"]), path.name, False
+    )
 
 
 def bombs(report: Report, scratch: Path) -> None:
@@ -138,18 +168,28 @@ def contents(report: Report, containers: tuple[str, ...], scratch: Path) -> list
             try:
                 path = d.write_semantic(case, container, folder)
             except Exception as error:  # a value that this container can't hold
-                lines.append(f"| {container} | {case.name} | not writable: {type(error).__name__} | |")
+                lines.append(
+                    f"| {container} | {case.name} | not writable: {type(error).__name__} | |"
+                )
                 continue
             for command in ("inspect", "replay"):
                 outcome = d.in_child(
-                    lambda k=case, p=path, c=command: d.semantic_outcome(k, p, c, _fresh(scratch, "run")),
+                    lambda k=case, p=path, c=command: d.semantic_outcome(
+                        k, p, c, _fresh(scratch, "run")
+                    ),
                     seconds=60,
                     extra_mb=3000,
                 )
                 report.add(f"contents {command}, {container}", "contents", case.name, outcome)
-                said = (outcome.lines[1:] or [""])[-1].replace("|", "/").replace(str(scratch), "…")[:220]
+                said = (
+                    (outcome.lines[1:] or [""])[-1]
+                    .replace("|", "/")
+                    .replace(str(scratch), "…")[:220]
+                )
                 mark = "**VIOLATION** " if outcome.kind == d.VIOLATION else ""
-                lines.append(f"| {container} | {case.name} | {command} {mark}{(outcome.lines or ['-'])[0]} | {said} |")
+                lines.append(
+                    f"| {container} | {case.name} | {command} {mark}{(outcome.lines or ['-'])[0]} | {said} |"
+                )
     return lines
 
 
@@ -157,14 +197,18 @@ def real_processes(report: Report, kinds: list[d.Kind], scratch: Path) -> None:
     """A few cases through `python -m dgeval` itself, so that the in-process command line is known to tell the truth."""
     for kind in kinds:
         good = d.make_good(kind, _fresh(scratch, "real"))
-        for case in [c for c in d.cases(good, 1) if c.mutation in ("cut", "LFS pointer", "empty") and "last" not in c.detail][
-            :3
-        ]:
+        for case in [
+            c
+            for c in d.cases(good, 1)
+            if c.mutation in ("cut", "LFS pointer", "empty") and "last" not in c.detail
+        ][:3]:
             path = d.place_case(good, case, _fresh(scratch, "case"))
             command = [sys.executable, "-m", "dgeval", "inspect", str(path)]
             done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
             outcome = d.judge_cli(done.returncode, done.stdout, done.stderr, path.name, None)
-            report.add("python -m dgeval inspect", case.mutation, f"{kind.name}, {case.detail}", outcome)
+            report.add(
+                "python -m dgeval inspect", case.mutation, f"{kind.name}, {case.detail}", outcome
+            )
 
 
 def _fresh(scratch: Path, name: str) -> Path:
@@ -179,15 +223,25 @@ def _fresh(scratch: Path, name: str) -> Path:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "--seeds", type=int, default=100, help="single bit flips per container; a tenth of it for other random cases"
+        "--seeds",
+        type=int,
+        default=100,
+        help="single bit flips per container; a tenth of it for other random cases",
     )
     parser.add_argument("--out", type=Path, help="Markdown file for the tables")
     parser.add_argument("--only", default="", help="containers whose name contains this")
-    parser.add_argument("--parts", default="bytes,bombs,contents,real", help="parts of the campaign, comma between")
     parser.add_argument(
-        "--cli-every", type=int, default=1000, help="every n-th case of a mutation goes through the command line too"
+        "--parts", default="bytes,bombs,contents,real", help="parts of the campaign, comma between"
     )
-    parser.add_argument("--containers", default="mcap,bag,db3", help="containers of the wrong contents")
+    parser.add_argument(
+        "--cli-every",
+        type=int,
+        default=1000,
+        help="every n-th case of a mutation goes through the command line too",
+    )
+    parser.add_argument(
+        "--containers", default="mcap,bag,db3", help="containers of the wrong contents"
+    )
     args = parser.parse_args()
     started = time.perf_counter()
     kinds = [k for k in d.KINDS if args.only in k.name]
@@ -202,13 +256,27 @@ def main() -> int:
         if "bombs" in parts:
             bombs(report, scratch)
         if "contents" in parts:
-            path = d.write_semantic(next(c for c in d.SEMANTIC if c.name == "no depth"), "mcap", _fresh(scratch, "case"))
-            report.add("contents replay, mcap", "run folder is new", "no depth", d.in_child(lambda: _cli_new(path, scratch)))
+            path = d.write_semantic(
+                next(c for c in d.SEMANTIC if c.name == "no depth"), "mcap", _fresh(scratch, "case")
+            )
+            report.add(
+                "contents replay, mcap",
+                "run folder is new",
+                "no depth",
+                d.in_child(lambda: _cli_new(path, scratch)),
+            )
             lines = contents(report, tuple(args.containers.split(",")), scratch)
         if "real" in parts:
-            real_processes(report, [k for k in kinds if k.name in ("mcap zstd", "bag none", "db3 folder")], scratch)
+            real_processes(
+                report,
+                [k for k in kinds if k.name in ("mcap zstd", "bag none", "db3 folder")],
+                scratch,
+            )
     n = sum(sum(c.values()) for c in report.counts.values())
-    out = [f"# Damage campaign: {n} cases, {args.seeds} seeds, {len(report.violations)} violations", ""]
+    out = [
+        f"# Damage campaign: {n} cases, {args.seeds} seeds, {len(report.violations)} violations",
+        "",
+    ]
     out += [report.table(), "", f"slowest: {report.slowest[0]:.1f} s, {report.slowest[1]}", ""]
     out += [f"largest: {report.largest[0]:.0f} MB resident, {report.largest[1]}", ""]
     if lines:
@@ -226,7 +294,9 @@ def main() -> int:
         "",
         *(f"- {c} / {r} / {k}: {text}" for (c, r, k), text in sorted(report.samples.items())),
     ]
-    text = "\n".join(out).replace(str(scratch), "…") + f"\n\n{time.perf_counter() - started:.0f} s\n"
+    text = (
+        "\n".join(out).replace(str(scratch), "…") + f"\n\n{time.perf_counter() - started:.0f} s\n"
+    )
     print(text)
     if args.out:
         args.out.write_text(text, encoding="utf-8")

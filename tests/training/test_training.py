@@ -24,7 +24,17 @@ from dgeval.training.ship import export, scores_of
 from dgeval.training.views import camera_at, views_of
 from dgeval.worlds.objects import procedural_object, surface_points, ten_objects
 
-SMALL = Settings(n_bps=64, width=24, hidden=16, views=4, held_out=2, batch=64, steps=12, generator_steps=12, tune_steps=4)
+SMALL = Settings(
+    n_bps=64,
+    width=24,
+    hidden=16,
+    views=4,
+    held_out=2,
+    batch=64,
+    steps=12,
+    generator_steps=12,
+    tune_steps=4,
+)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +97,9 @@ def test_a_batch_keeps_palm_and_cloud_together(grasps: Path) -> None:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = palms.rotation[k], palms.translation[k]
         T_object_palm = invert(owner.T_view_object[view]) @ T
-        same = np.abs(owner.T_object_palm[:, :3, :3] - T_object_palm[:3, :3]).max(axis=(1, 2)) < 1e-4
+        same = (
+            np.abs(owner.T_object_palm[:, :3, :3] - T_object_palm[:3, :3]).max(axis=(1, 2)) < 1e-4
+        )
         assert same.any()
         raised = T_object_palm[2, 3] - owner.T_object_palm[same][:, 2, 3]
         assert (np.abs(raised).min() < 1e-4) if label[k] else (raised.max() > 0)
@@ -112,7 +124,9 @@ def test_a_resumed_run_ends_like_an_uninterrupted_one(
     with pytest.raises(StoppedError):
         ffhnet.train(kind, objects, SMALL, tmp_path / "part", stop)
     steps: list[int] = []
-    resumed = ffhnet.train(kind, objects, SMALL, tmp_path / "part", lambda step, _: steps.append(step))
+    resumed = ffhnet.train(
+        kind, objects, SMALL, tmp_path / "part", lambda step, _: steps.append(step)
+    )
     assert steps[0] == 6
     for name, tensor in whole.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
@@ -121,11 +135,16 @@ def test_a_resumed_run_ends_like_an_uninterrupted_one(
 @pytest.mark.slow
 def test_an_evaluator_is_tuned_on_what_it_would_choose(grasps: Path, tmp_path: Path) -> None:
     """Catches choices taken for other grasps, or with the wrong label, and a cloud's share that does not stay."""
-    generator_file, first = tmp_path / "generator.safetensors", tmp_path / "first_fingers.safetensors"
+    generator_file, first = (
+        tmp_path / "generator.safetensors",
+        tmp_path / "first_fingers.safetensors",
+    )
     export(ffhnet.new_network("generator", SMALL), generator_file)
     export(ffhnet.new_network("evaluator_fingers", SMALL), first)
     chosen = tmp_path / "chosen"
-    write_all(lambda k: write_grasps(k, chosen, 0, 0, generator_file, first), [0, 1, 7], 1, lambda _: None)
+    write_all(
+        lambda k: write_grasps(k, chosen, 0, 0, generator_file, first), [0, 1, 7], 1, lambda _: None
+    )
     for path in chosen.iterdir():  # nothing that new weights choose holds: two that do
         with np.load(path) as file:
             found = {k: file[k] for k in file}
@@ -141,12 +160,20 @@ def test_an_evaluator_is_tuned_on_what_it_would_choose(grasps: Path, tmp_path: P
         assert (batch_of(objects, 20, {kind: 1.0}, np.random.default_rng(0))[2] == label).all()
     network = load_ffhnet_evaluator(first)
     before = {k: v.clone() for k, v in network.state_dict().items()}
-    ffhnet.tune(network, [objects[0], objects[1], objects[6]], SMALL, tmp_path / "tuned.ckpt", lambda *_: None)
+    ffhnet.tune(
+        network,
+        [objects[0], objects[1], objects[6]],
+        SMALL,
+        tmp_path / "tuned.ckpt",
+        lambda *_: None,
+    )
     after = network.state_dict()
     of_cloud = slice(SMALL.width, SMALL.width + SMALL.n_bps)
     assert torch.equal(after["rb2.fc1.weight"][:, of_cloud], before["rb2.fc1.weight"][:, of_cloud])
     for moved in (slice(0, SMALL.width), slice(SMALL.width + SMALL.n_bps, None)):
-        assert not torch.equal(after["rb2.fc1.weight"][:, moved], before["rb2.fc1.weight"][:, moved])
+        assert not torch.equal(
+            after["rb2.fc1.weight"][:, moved], before["rb2.fc1.weight"][:, moved]
+        )
 
 
 @pytest.mark.slow
@@ -156,7 +183,9 @@ def test_a_hand_in_the_far_side_of_an_object_does_not_hold_it(grasps: Path) -> N
     for index in range(6):
         thing = procedural_object(index, 0)
         data, world = read_grasps(grasps / f"{thing.name}.npz"), FlyingHand(thing)
-        for T, joints in zip(data.T_object_palm[data.overlapping], data.joints[data.overlapping], strict=True):
+        for T, joints in zip(
+            data.T_object_palm[data.overlapping], data.joints[data.overlapping], strict=True
+        ):
             world.put_palm(T, joints)
             if world.overlap(anything=True) > LIGHT_TOUCH:
                 lifted += world.lifts(joints, shake=True)
@@ -189,8 +218,13 @@ def test_jaw_scenes_train_an_evaluator(tmp_path: Path) -> None:
     assert 0 < held.mean() < 1
     for thing in scenes:
         for scene in thing:
-            assert 0.05 < np.linalg.norm(scene.points, axis=1).min() + 0.05 < 0.12  # something near the seed is seen
+            assert (
+                0.05 < np.linalg.norm(scene.points, axis=1).min() + 0.05 < 0.12
+            )  # something near the seed is seen
             assert scene.table.any()
     assert load_evaluator(tmp_path / "vfas_evaluator.safetensors").sizes == VFAS
     again = write_scenes(0, tmp_path / "again", 0, 2)
-    assert np.load(again)["held"].tolist() == np.load(tmp_path / "scenes" / again.name)["held"].tolist()
+    assert (
+        np.load(again)["held"].tolist()
+        == np.load(tmp_path / "scenes" / again.name)["held"].tolist()
+    )

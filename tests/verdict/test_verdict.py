@@ -63,7 +63,9 @@ def test_smoothing_extrapolates_a_belt_to_within_its_own_sd() -> None:
     path = smooth(sightings((0.0, 0.2, 0.0), 0.001), centre)
     t_ns = 1_000_000_000 + round(39 / 30 * 1e9) + 1_000_000_000
     there = transform(path.at(t_ns), centre[None])[0]
-    true = Rotation.from_euler("z", 0.4).as_matrix() @ centre + np.array([0.0, 0.2, 0.0]) * (39 / 30 + 1)
+    true = Rotation.from_euler("z", 0.4).as_matrix() @ centre + np.array([0.0, 0.2, 0.0]) * (
+        39 / 30 + 1
+    )
     error = float(np.linalg.norm(there - true))
     assert error < 3 * path.sd_at(t_ns)
     assert error < 0.005
@@ -85,10 +87,17 @@ def test_surface_does_not_forget_what_was_seen_early() -> None:
 
 @pytest.mark.parametrize(
     ("name", "kind", "bound"),
-    [("sugar_box", "box", 0.003), ("apple", "sphere", 0.003), ("gelatin_box", "box", 0.003), ("mustard_bottle", "hull", 0.012)],
+    [
+        ("sugar_box", "box", 0.003),
+        ("apple", "sphere", 0.003),
+        ("gelatin_box", "box", 0.003),
+        ("mustard_bottle", "hull", 0.012),
+    ],
 )
 @pytest.mark.parametrize("yaw", [0.0, 0.7])
-def test_solid_from_what_a_camera_above_sees(name: str, kind: str, bound: float, yaw: float) -> None:
+def test_solid_from_what_a_camera_above_sees(
+    name: str, kind: str, bound: float, yaw: float
+) -> None:
     """Catches a box with the edges of a hull, faces at the farthest of noisy points, and a yaw of the wrong sign."""
     thing, rng = ten_objects()[name], np.random.default_rng(1)
     T = np.eye(4)
@@ -98,7 +107,10 @@ def test_solid_from_what_a_camera_above_sees(name: str, kind: str, bound: float,
     solid, centre = solid_from_cloud(points[points[:, 2] > 0.4 * points[:, 2].max()], "object")
     assert [p.kind for p in solid.parts] == [kind]
     turned = ObjectModel(
-        "", 1.0, tuple(replace(p, T_object_part=rotation_of(T) @ p.T_object_part) for p in thing.parts), thing.look
+        "",
+        1.0,
+        tuple(replace(p, T_object_part=rotation_of(T) @ p.T_object_part) for p in thing.parts),
+        thing.look,
     )
     assert np.abs(solid.extent() - turned.extent()).max() < bound
     assert np.abs(centre[:2] - [0.02, -0.01]).max() < bound
@@ -115,15 +127,26 @@ def rotation_of(T: np.ndarray) -> np.ndarray:
 def test_a_hand_reaches_into_a_vessel(name: str) -> None:
     """Catches a vessel closed by its hull, and walls that lose their tilt when they are moved to the middle."""
     thing, rng = ten_objects()[name], np.random.default_rng(1)
-    points = surface_points(thing, 3000, rng) + np.array([0.02, -0.01, thing.rest_height()]) + rng.normal(0, 0.001, (3000, 3))
+    points = (
+        surface_points(thing, 3000, rng)
+        + np.array([0.02, -0.01, thing.rest_height()])
+        + rng.normal(0, 0.001, (3000, 3))
+    )
     solid, centre = solid_from_cloud(points[points[:, 2] > 0.006], "object")
     assert np.abs(solid.extent() - thing.extent()).max() < 0.005
     walls = [p for p in solid.parts if p.kind == "box"]
     assert len(walls) == 12
     true = [p for p in thing.parts if p.kind == "box"]
-    middle = [np.linalg.norm((p.T_object_part[:3, 3] + centre - [0.02, -0.01, 0])[:2]) for p in walls]
-    assert np.mean(middle) == pytest.approx(np.linalg.norm(true[0].T_object_part[:2, 3]), abs=0.0015)
-    tilts = [sorted(np.arccos(np.clip(p.T_object_part[2, 2], -1, 1)) for p in some)[0] for some in (walls, true)]
+    middle = [
+        np.linalg.norm((p.T_object_part[:3, 3] + centre - [0.02, -0.01, 0])[:2]) for p in walls
+    ]
+    assert np.mean(middle) == pytest.approx(
+        np.linalg.norm(true[0].T_object_part[:2, 3]), abs=0.0015
+    )
+    tilts = [
+        sorted(np.arccos(np.clip(p.T_object_part[2, 2], -1, 1)) for p in some)[0]
+        for some in (walls, true)
+    ]
     assert np.degrees(abs(tilts[0] - tilts[1])) < 3
 
 
@@ -146,7 +169,9 @@ def test_cloud_without_volume_is_refused() -> None:
 # the twin on constructed cases
 
 
-def cause(tmp_path: Path, faults: Faults, thing: str = "sugar_box", method: str = "twin") -> tuple[str | None, Cause]:
+def cause(
+    tmp_path: Path, faults: Faults, thing: str = "sugar_box", method: str = "twin"
+) -> tuple[str | None, Cause]:
     """What is true of a constructed trial, and what the verdict says of it."""
     from dgeval.simulation.truth import prove
 
@@ -203,7 +228,9 @@ def test_a_part_that_put_the_palm_off_is_blamed(tmp_path: Path) -> None:
     # the believed object 50 mm beside the true one: the hand would have held it without that
     campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
     faults = Faults(registration_bias=(0.0, -0.05, 0.0, 0.0, 0.0, 0.0))
-    run, world = simulate(campaign, Plan("t", "gelatin_box", 0.08, 0.47, -0.2, 0.3, -0.2, faults, 5, 0))
+    run, world = simulate(
+        campaign, Plan("t", "gelatin_box", 0.08, 0.47, -0.2, 0.3, -0.2, faults, 5, 0)
+    )
     assert run.finish is not None
     assert not run.finish.success
     scene = scene_from(run, world, 7)
@@ -223,15 +250,22 @@ def test_a_part_that_put_the_palm_off_is_blamed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("faults", "part"),
     [
-        (Faults(evaluator_bias=-0.5), "execution"),  # it comes to the grasp, and never thinks it good enough
+        (
+            Faults(evaluator_bias=-0.5),
+            "execution",
+        ),  # it comes to the grasp, and never thinks it good enough
         (Faults(velocity_bias=(0.0, 0.05, 0.0)), "velocity"),  # it runs ahead of the grasp
         (Faults(registration_bias=(0.0, -0.05, 0, 0, 0, 0), evaluator_bias=-0.5), "tracking"),
         (Faults(descent=6.0, evaluator_bias=-0.5), "servo"),
     ],
 )
-def test_a_hand_that_never_closed_has_a_part_to_blame(tmp_path: Path, faults: Faults, part: str) -> None:
+def test_a_hand_that_never_closed_has_a_part_to_blame(
+    tmp_path: Path, faults: Faults, part: str
+) -> None:
     campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
-    run, world = simulate(campaign, Plan("t", "gelatin_box", 0.08, 0.47, -0.2, 0.3, -0.2, faults, 5, 0))
+    run, world = simulate(
+        campaign, Plan("t", "gelatin_box", 0.08, 0.47, -0.2, 0.3, -0.2, faults, 5, 0)
+    )
     assert run.close is None
     scene = scene_from(run, world, 7)
     blamed = blame_of(cause_of(scene, "twin", 3, 0, 0.0), scene.beliefs)
@@ -246,17 +280,34 @@ def test_gains_of_a_servo_and_growth_of_an_error() -> None:
     assert gains_of([w * [1.0, 1.0, 0.0] for w in way], way) is None
     assert gains_of(way[:3], way[:3]) is None
     times = [k * 33_000_000 for k in range(10)]
-    np.testing.assert_allclose(growth(times, [np.array([0.001, 0.03 * t * 1e-9, 0.0]) for t in times]), [0, 0.03, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        growth(times, [np.array([0.001, 0.03 * t * 1e-9, 0.0]) for t in times]),
+        [0, 0.03, 0],
+        atol=1e-9,
+    )
     np.testing.assert_array_equal(growth(times[:3], [np.ones(3)] * 3), np.zeros(3))
     # the belief before a push at 2 s, after which it follows what is pushed
-    twists = [(k * 100_000_000, np.array([0.0, 0.1 if k < 20 else 0.5, 0, 0, 0, 0])) for k in range(30)]
+    twists = [
+        (k * 100_000_000, np.array([0.0, 0.1 if k < 20 else 0.5, 0, 0, 0, 0])) for k in range(30)
+    ]
     np.testing.assert_allclose(steady(twists, 1_900_000_000), [[0.0, 0.1, 0.0]])
     assert steady(twists, 900_000_000) == []  # the filter has not settled
 
 
 def test_fingers_that_close_elsewhere_tell_a_wrong_place(tmp_path: Path) -> None:
     campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
-    plan = Plan("t", "rubiks_cube", 0.08, 0.47, -0.2, 0.3, -0.2, Faults(registration_bias=(0.0, -0.025, 0, 0, 0, 0)), 5, 0)
+    plan = Plan(
+        "t",
+        "rubiks_cube",
+        0.08,
+        0.47,
+        -0.2,
+        0.3,
+        -0.2,
+        Faults(registration_bias=(0.0, -0.025, 0, 0, 0, 0)),
+        5,
+        0,
+    )
     run, world = simulate(campaign, plan)
     scene = scene_from(run, world, 7)
     assert len(scene.hand.closing) == 50
@@ -274,7 +325,9 @@ def test_a_twist_of_the_palm_as_one_of_the_hand() -> None:
     twist, dt = rng.normal(0, 0.3, 6), 1e-6
     turn = Rotation.from_rotvec(twist[3:] * dt).as_matrix()
     palm = (T_hand @ T_hand_palm)[:3, 3]
-    after = turn @ (T_hand[:3, 3] - palm) + palm + twist[:3] * dt  # the palm goes, all else turns about it
+    after = (
+        turn @ (T_hand[:3, 3] - palm) + palm + twist[:3] * dt
+    )  # the palm goes, all else turns about it
     found = of_hand(twist, T_hand, T_hand_palm)
     np.testing.assert_allclose(found[:3], (after - T_hand[:3, 3]) / dt, atol=1e-5)
     np.testing.assert_array_equal(found[3:], twist[3:])
@@ -289,10 +342,15 @@ def test_a_pushed_object_is_looked_for_where_it_was_and_will_be_seen() -> None:
     )  # fmt: skip
     off = [np.eye(4) for _ in range(2)]
     off[0][:3, 3], off[1][:3, 3] = [0.03, 0.19, 0.0], [0.06, 0.21, 0.0]
-    sightings = [Sighting(round(t * seconds), T, "registration", False) for t, T in zip((1.9, 2.3), off, strict=True)]
+    sightings = [
+        Sighting(round(t * seconds), T, "registration", False)
+        for t, T in zip((1.9, 2.3), off, strict=True)
+    ]
     trial = SimpleNamespace(robot=SimpleNamespace(T_base_palm=lambda _: None))
     found = _priors(2 * seconds, path, sightings, trial, 3 * seconds)  # type: ignore[arg-type]
-    np.testing.assert_allclose([T[:3, 3] for T in found], [[0.0, 0.2, 0.0], [0.03, 0.2, 0.0], [0.06, 0.18, 0.0]], atol=1e-9)
+    np.testing.assert_allclose(
+        [T[:3, 3] for T in found], [[0.0, 0.2, 0.0], [0.03, 0.2, 0.0], [0.06, 0.18, 0.0]], atol=1e-9
+    )
 
 
 def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -305,7 +363,10 @@ def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPat
         T[0, 3] = 0.015 * min(max(k - 20, 0), 10)
         return T
 
-    seen = [Seen(k, k * step, np.eye(4), true(k) if k < 20 else None, None, 0, 0, None) for k in range(40)]
+    seen = [
+        Seen(k, k * step, np.eye(4), true(k) if k < 20 else None, None, 0, 0, None)
+        for k in range(40)
+    ]
     frames = [SimpleNamespace(index=k, t_ns=k * step) for k in range(40)]
     trial = SimpleNamespace(
         frames=lambda: iter(frames), event_ns=lambda _: None, scan=SimpleNamespace(poses={"/dgeval/belief/grasp": [1]}),
@@ -314,20 +375,30 @@ def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPat
 
     def look(frame, seen, tracker, model, priors, config):
         there = true(frame.index)
-        known = frame.index >= 35 or any(np.linalg.norm(p[:3, 3] - there[:3, 3]) < 0.02 for p in priors)
+        known = frame.index >= 35 or any(
+            np.linalg.norm(p[:3, 3] - there[:3, 3]) < 0.02 for p in priors
+        )
         # between 20 and 22 nothing can be seen, so that going forward loses it
-        return Sighting(frame.t_ns, there, "registration", True) if known and not 20 <= frame.index <= 22 else None
+        return (
+            Sighting(frame.t_ns, there, "registration", True)
+            if known and not 20 <= frame.index <= 22
+            else None
+        )
 
     monkeypatch.setattr("dgeval.hindsight.second_pass._look", look)
     monkeypatch.setattr("dgeval.hindsight.second_pass._moments", lambda *_: ())
     surface = Surface()
-    surface.add(Model(np.random.default_rng(0).normal(0, 0.02, (50, 3)), np.tile([0.0, 0.0, 1.0], (50, 1))))
+    surface.add(
+        Model(np.random.default_rng(0).normal(0, 0.02, (50, 3)), np.tile([0.0, 0.0, 1.0], (50, 1)))
+    )
     found = look_back(trial, seen, surface, SimpleNamespace(tracker=None), Config())  # type: ignore[arg-type]
     assert found is not None
     assert [s.t_ns // step for s in found.sightings] == [*range(20), *range(23, 40)]
 
 
-def test_what_is_seen_high_up_but_away_from_the_hand_was_not_lifted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_seen_high_up_but_away_from_the_hand_was_not_lifted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     second = 1_000_000_000
     path = SimpleNamespace(centroid=np.zeros(3), at=lambda _: np.eye(4))
 
@@ -337,14 +408,19 @@ def test_what_is_seen_high_up_but_away_from_the_hand_was_not_lifted(monkeypatch:
             T = np.eye(4)
             T[2, 3] = z
             places.append(Sighting(2 * second + k * second // 30, T, "registration", True))
-        hindsight = SimpleNamespace(path=path, support=Plane(np.array([0.0, 0.0, 1.0]), 0.0, 1.0), sightings=places)
+        hindsight = SimpleNamespace(
+            path=path, support=Plane(np.array([0.0, 0.0, 1.0]), 0.0, 1.0), sightings=places
+        )
         monkeypatch.setattr("dgeval.verdict.outcome.hand_distance", lambda *_: (apart, "index_3"))
         return outcome._seen_after(SimpleNamespace(), hindsight, 0)  # type: ignore[arg-type]
 
     assert said([0.2] * 6, 0.02) == (True, "the object is seen 20 cm up, 2.2 s after the close")
     assert said([0.2] * 6, 0.16) is None
     assert said([0.0, 0.3, 0.1, 0.2, 0.4, 0.05], 0.02) is None  # something else in every frame
-    assert said([0.0] * 6, 0.16) == (False, "the object is seen left on its support 2.2 s after the close")
+    assert said([0.0] * 6, 0.16) == (
+        False,
+        "the object is seen left on its support 2.2 s after the close",
+    )
     assert said([0.0] * 6, 0.02) is None  # the hand is still at it
 
 
@@ -363,12 +439,25 @@ def test_what_put_the_palm_off_is_told_apart(masked: bool, closed: bool) -> None
         np.array([0, 2 * seconds]), np.array([[0, 0, 0.5], [0, 0.2, 0.5]]), np.tile([0.0, 0.1, 0.0], (2, 1)), np.zeros(2), 0.0,
         Rotation.from_euler("z", 30, degrees=True).as_matrix(), 0.0, np.array([0.01, 0.0, 0.0]),
     )  # fmt: skip
-    own = [stamped(0.0, 0.0, 0.0), *(stamped(t, 0.0, 0.1 * t + 0.004 - 0.01 * (1.8 - t)) for t in np.arange(0.9, 1.85, 0.1))]
+    own = [
+        stamped(0.0, 0.0, 0.0),
+        *(stamped(t, 0.0, 0.1 * t + 0.004 - 0.01 * (1.8 - t)) for t in np.arange(0.9, 1.85, 0.1)),
+    ]
     predicted = [stamped(1.9, 0.0, 0.19 + 0.006)]
     palm = np.eye(4)
     palm[:3, 3] = [0.003, 0.21, 0.7]
-    times = {"/dgeval/belief/mask": SimpleNamespace(arrays=lambda: (np.array([p.t_ns for p in own]), None))} if masked else {}
-    believed = [(round(t * seconds), np.array([0.0, 0.12, 0.0, 0, 0, 0])) for t in np.arange(0.4, 1.95, 0.1)]
+    times = (
+        {
+            "/dgeval/belief/mask": SimpleNamespace(
+                arrays=lambda: (np.array([p.t_ns for p in own]), None)
+            )
+        }
+        if masked
+        else {}
+    )
+    believed = [
+        (round(t * seconds), np.array([0.0, 0.12, 0.0, 0, 0, 0])) for t in np.arange(0.4, 1.95, 0.1)
+    ]
     twists = {"/dgeval/belief/velocity": believed}
     grasps = [stamped(0.5, 0.2, 0.1, 0.7), stamped(1.97, 0.0, 0.2, 0.7)]
     trial = SimpleNamespace(
@@ -383,18 +472,28 @@ def test_what_put_the_palm_off_is_told_apart(masked: bool, closed: bool) -> None
     found = beliefs_of(trial, hindsight)  # type: ignore[arg-type]
     assert isinstance(found, Beliefs)
     at = 2.0 if closed else 1.97  # when it closed; else when it was nearest to its grasp
-    np.testing.assert_allclose(found.errors["servo"], [0.003, 0.21 - 0.2 - 0.12 * (at - 1.97), 0.0], atol=1e-9)
+    np.testing.assert_allclose(
+        found.errors["servo"], [0.003, 0.21 - 0.2 - 0.12 * (at - 1.97), 0.0], atol=1e-9
+    )
     # without masks the prediction is taken for a sighting
     sighted = own[1:] if masked else [*own[1:], *predicted]
     times_s = np.array([p.t_ns for p in sighted]) * 1e-9
     ahead = np.array([p.pose[1] for p in sighted]) - 0.1 * times_s
     drift, gone = np.polyfit(times_s - 1.0, ahead, 1)[0], at - times_s[-1]
-    np.testing.assert_allclose(found.errors["tracking"], [0.0, ahead[-1] + drift * gone, 0.0], atol=1e-9)
-    np.testing.assert_allclose(found.errors["velocity"], [0.0, (0.02 - drift) * (gone if closed else 1 / 2.0), 0.0], atol=1e-9)
+    np.testing.assert_allclose(
+        found.errors["tracking"], [0.0, ahead[-1] + drift * gone, 0.0], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        found.errors["velocity"],
+        [0.0, (0.02 - drift) * (gone if closed else 1 / 2.0), 0.0],
+        atol=1e-9,
+    )
     assert ahead[-1] == pytest.approx(0.004 if masked else 0.006)
     # the palm in that grasp, on the object where it is at the end: 3 s, where there was no close
     assert found.goal is not None
-    np.testing.assert_allclose(found.goal[:3, 3], [0.0, 0.2 + 0.1 * ((2.0 if closed else 3.0) - 1.97), 0.7], atol=1e-9)
+    np.testing.assert_allclose(
+        found.goal[:3, 3], [0.0, 0.2 + 0.1 * ((2.0 if closed else 3.0) - 1.97), 0.7], atol=1e-9
+    )
     assert found.gains is None
 
 
@@ -402,7 +501,10 @@ def test_a_cloud_is_laid_on_the_robots_model() -> None:
     rng = np.random.default_rng(0)
     points = surface_points(ten_objects()["sugar_box"], 1500, rng)
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", [2, -3, 4], degrees=True).as_matrix(), [0.008, -0.006, 0.005]
+    T[:3, :3], T[:3, 3] = (
+        Rotation.from_euler("xyz", [2, -3, 4], degrees=True).as_matrix(),
+        [0.008, -0.006, 0.005],
+    )
     seen = points[points[:, 2] > 0.0]  # half of what the robot's model holds
     found = laid_on(seen, transform(T, surface_points(ten_objects()["sugar_box"], 3000, rng)))
     assert np.linalg.norm(transform(found, seen) - transform(T, seen), axis=1).max() < 0.001
@@ -423,7 +525,9 @@ def test_a_failed_handover_has_a_cause(tmp_path: Path) -> None:
     from dgeval.simulation.truth import prove
 
     scenario = load_scenario("handover").model_copy(update={"grasps": "analytic", "faults": {}})
-    plan = replace(plan_trial(scenario, ten_objects(), 5, 1), faults=Faults(grasp_offset=(0, 0.06, 0, 0, 0, 0)))
+    plan = replace(
+        plan_trial(scenario, ten_objects(), 5, 1), faults=Faults(grasp_offset=(0, 0.06, 0, 0, 0, 0))
+    )
     run, world = simulate(Campaign(scenario, 5, 1, tmp_path), plan)
     assert run.finish is not None
     assert not run.finish.success
@@ -446,7 +550,9 @@ def smoke_run(tmp_path_factory: pytest.TempPathFactory, dgeval: Run) -> Path:
 
 
 @pytest.mark.slow
-def test_verdicts_on_the_committed_recordings_and_their_report(smoke_run: Path, dgeval: Run, tmp_path: Path) -> None:
+def test_verdicts_on_the_committed_recordings_and_their_report(
+    smoke_run: Path, dgeval: Run, tmp_path: Path
+) -> None:
     rows = pd.read_parquet(smoke_run / "trials.parquet").set_index("trial")
     truth = read_truth([SMOKE / "ci-smoke.toml"])
     assert len(truth) == len(rows) == 6
@@ -456,17 +562,32 @@ def test_verdicts_on_the_committed_recordings_and_their_report(smoke_run: Path, 
         assert row["outcome"] == known["outcome"], trial
         assert row["outcome_source"] == "inferred"
         if known["outcome"] == "failure":
-            assert row["failure_class"] in (known["failure_class"], "unknown"), (trial, row["evidence"])
+            assert row["failure_class"] in (known["failure_class"], "unknown"), (
+                trial,
+                row["evidence"],
+            )
             right += row["failure_class"] == known["failure_class"]
-            assert abs(row[["p_imprecise_pose", "p_collision", "p_timing", "p_unknown"]].sum() - 1) < 1e-9
+            assert (
+                abs(row[["p_imprecise_pose", "p_collision", "p_timing", "p_unknown"]].sum() - 1)
+                < 1e-9
+            )
         else:
             assert pd.isna(row["failure_class"])
         assert (smoke_run / "pictures" / f"{trial}.jpg").is_file()
         looked = pd.read_parquet(smoke_run / "hindsight" / f"{trial}.parquet")
-        closed = looked[looked["t_ns"] <= row["t_close_ns"]] if pd.notna(row["t_close_ns"]) else looked
+        closed = (
+            looked[looked["t_ns"] <= row["t_close_ns"]] if pd.notna(row["t_close_ns"]) else looked
+        )
         if row["failure_class"] == "collision":
             touched = closed[closed["hand_distance"] < 0.006]
-            assert str(touched["hand_link"].iloc[0]).split("_")[0] in ("thumb", "index", "middle", "ring", "little", "palm")
+            assert str(touched["hand_link"].iloc[0]).split("_")[0] in (
+                "thumb",
+                "index",
+                "middle",
+                "ring",
+                "little",
+                "palm",
+            )
             assert closed["by"].iloc[-1] != "path"  # it was seen to leave it
         elif known["outcome"] == "success":
             assert closed["hand_distance"].iloc[-1] < 0.05
@@ -476,7 +597,13 @@ def test_verdicts_on_the_committed_recordings_and_their_report(smoke_run: Path, 
     done = dgeval("report", smoke_run, "--truth", SMOKE / "ci-smoke.toml", "--out", tmp_path)
     assert done.returncode == 0, done.stderr  # type: ignore[attr-defined]
     page = (tmp_path / "report.html").read_text()
-    for said in ("What to fix first", "Failures by cause", "Verdicts against the truth", "data:image/jpeg", "collision"):
+    for said in (
+        "What to fix first",
+        "Failures by cause",
+        "Verdicts against the truth",
+        "data:image/jpeg",
+        "collision",
+    ):
         assert said in page
     assert len(pd.read_csv(tmp_path / "trials.csv")) == 6
     assert "macro-f1" in (tmp_path / "report.md").read_text().lower()
@@ -498,15 +625,22 @@ def without(source: Path, target: Path, prefixes: tuple[str, ...]) -> None:
         assert summary is not None
         header = reader.get_header()
         writer.start(header.profile, header.library)
-        schemas = {k: writer.register_schema(s.name, s.encoding, s.data) for k, s in summary.schemas.items()}
+        schemas = {
+            k: writer.register_schema(s.name, s.encoding, s.data)
+            for k, s in summary.schemas.items()
+        }
         channels = {
-            k: writer.register_channel(c.topic, c.message_encoding, schemas[c.schema_id], c.metadata)
+            k: writer.register_channel(
+                c.topic, c.message_encoding, schemas[c.schema_id], c.metadata
+            )
             for k, c in summary.channels.items()
             if not c.topic.startswith(prefixes)
         }
         for _, channel, m in reader.iter_messages(log_time_order=False):
             if channel.id in channels:
-                writer.add_message(channels[channel.id], m.log_time, m.data, m.publish_time, m.sequence)
+                writer.add_message(
+                    channels[channel.id], m.log_time, m.data, m.publish_time, m.sequence
+                )
         writer.finish()
 
 
@@ -518,7 +652,9 @@ def test_verdict_does_not_read_the_truth(dgeval: Run, tmp_path: Path) -> None:
     assert not read_truth([bare])
     rows = []
     for file, out in ((SMOKE / f"{name}.mcap", "whole"), (bare, "bare")):
-        done = dgeval("replay", file, "--bbox", box_of(name), "--out", tmp_path / out, "--no-review")
+        done = dgeval(
+            "replay", file, "--bbox", box_of(name), "--out", tmp_path / out, "--no-review"
+        )
         assert done.returncode == 0, done.stderr  # type: ignore[attr-defined]
         rows.append(pd.read_parquet(tmp_path / out / "trials.parquet").iloc[0])
     assert rows[0]["failure_class"] == "collision"
@@ -530,7 +666,9 @@ def test_blame_needs_beliefs(dgeval: Run, tmp_path: Path) -> None:
     name = "pudding_box-120-0030"
     bare = tmp_path / f"{name}.mcap"
     without(SMOKE / f"{name}.mcap", bare, ("/truth/", "/dgeval/belief/"))
-    done = dgeval("replay", bare, "--bbox", box_of(name), "--out", tmp_path / "run", "--no-review", "--json")
+    done = dgeval(
+        "replay", bare, "--bbox", box_of(name), "--out", tmp_path / "run", "--no-review", "--json"
+    )
     row = json.loads(done.stdout)["trials"][0]  # type: ignore[attr-defined]
     assert row["outcome"] == "failure"
     assert row["blame"] == "unknown"
@@ -541,7 +679,18 @@ def test_blame_needs_beliefs(dgeval: Run, tmp_path: Path) -> None:
 def test_log_that_ends_at_the_close_says_nothing(dgeval: Run, tmp_path: Path) -> None:
     name, frames = "pudding_box-120-0030", "0:68"  # the hand closes at frame 65
     file = SMOKE / f"{name}.mcap"
-    done = dgeval("replay", file, "--bbox", box_of(name), "--frames", frames, "--out", tmp_path, "--no-review", "--json")
+    done = dgeval(
+        "replay",
+        file,
+        "--bbox",
+        box_of(name),
+        "--frames",
+        frames,
+        "--out",
+        tmp_path,
+        "--no-review",
+        "--json",
+    )
     row = json.loads(done.stdout)["trials"][0]  # type: ignore[attr-defined]
     assert row["outcome"] == "unknown"
     assert "after the close" in row["evidence"]
@@ -579,8 +728,12 @@ def test_scores_on_a_known_matrix() -> None:
     f1, low, high = macro_f1(truth, said, CLASSES)
     assert f1 == pytest.approx((6 / 7 + 1 + 2 / 4) / 3)
     assert low <= f1 <= high
-    assert calibration_error(np.array([0.9] * 10), np.array([True] * 9 + [False])) == pytest.approx(0.0)
-    assert calibration_error(np.array([0.9] * 10), np.array([True] * 5 + [False] * 5)) == pytest.approx(0.4)
+    assert calibration_error(np.array([0.9] * 10), np.array([True] * 9 + [False])) == pytest.approx(
+        0.0
+    )
+    assert calibration_error(
+        np.array([0.9] * 10), np.array([True] * 5 + [False] * 5)
+    ) == pytest.approx(0.4)
 
 
 def test_published_tables_follow_from_their_counts() -> None:
@@ -588,7 +741,9 @@ def test_published_tables_follow_from_their_counts() -> None:
     for name in ("conveyor", "handover"):
         t = tables[name]
         n = t["n_per_object"] * len(t["object"])
-        assert 100 * sum(t["object"].values()) / n == pytest.approx(t["printed"]["overall"], abs=0.05)
+        assert 100 * sum(t["object"].values()) / n == pytest.approx(
+            t["printed"]["overall"], abs=0.05
+        )
         failures = t["failures"]
         assert sum(failures.values()) == n - sum(t["object"].values())
         for c, percent in t["printed"]["failures"].items():
@@ -597,7 +752,10 @@ def test_published_tables_follow_from_their_counts() -> None:
     assert sum(t["speed_mm_s"].values()) == sum(t["object"].values()) == 86
     t = tables["table-clearing"]
     assert (sum(t["without"].values()), sum(t["object"].values())) == (72, 101)
-    assert [round(100 * v / 120) for v in (72, 101)] == [t["printed"]["without"], t["printed"]["overall"]]
+    assert [round(100 * v / 120) for v in (72, 101)] == [
+        t["printed"]["without"],
+        t["printed"]["overall"],
+    ]
     for table, printed in (("without", "without"), ("speed_mm_s", "with")):
         for speed, k in tables["turntable"][table].items():
             assert 100 * k / 20 == tables["turntable"]["printed"][printed][speed]
@@ -605,12 +763,24 @@ def test_published_tables_follow_from_their_counts() -> None:
 
 def test_shares_leave_out_what_did_not_end() -> None:
     rows = [
-        {"trial": str(k), "outcome": o, "failure_class": c, "scenario": "conveyor", "object": "apple", "speed": 0.1}
-        for k, (o, c) in enumerate([("success", None), ("failure", "timing"), ("unknown", None), ("failure", "unknown")])
+        {
+            "trial": str(k),
+            "outcome": o,
+            "failure_class": c,
+            "scenario": "conveyor",
+            "object": "apple",
+            "speed": 0.1,
+        }
+        for k, (o, c) in enumerate(
+            [("success", None), ("failure", "timing"), ("unknown", None), ("failure", "unknown")]
+        )
     ]
     trials = pd.DataFrame(rows)
     [apple] = success_by(trials, "object")
     assert (apple.k, apple.n, apple.published) == (1, 3, "12/12")
     [speed] = success_by(trials, "speed")
     assert speed.published == "5/10"
-    assert [(s.name, s.k, s.n) for s in failure_shares(trials)][2:] == [("timing", 1, 2), ("unknown", 1, 2)]
+    assert [(s.name, s.k, s.n) for s in failure_shares(trials)][2:] == [
+        ("timing", 1, 2),
+        ("unknown", 1, 2),
+    ]

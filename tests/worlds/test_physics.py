@@ -18,7 +18,15 @@ from dgeval.robots import dlr_hit_hand as hand
 from dgeval.robots.description import Description, load_description
 from dgeval.robots.diana7 import LOWER, MAX_SPEED, UPPER, ArmKinematics
 from dgeval.robots.urdf import robot_urdf
-from dgeval.worlds.objects import ObjectModel, add_object, ball, box, procedural_object, surface_points, ten_objects
+from dgeval.worlds.objects import (
+    ObjectModel,
+    add_object,
+    ball,
+    box,
+    procedural_object,
+    surface_points,
+    ten_objects,
+)
 from dgeval.worlds.scene import TIMESTEP, build, pose_of
 from dgeval.worlds.textures import Look
 from scipy.spatial import ConvexHull
@@ -151,7 +159,9 @@ def test_belt_brings_an_object_to_its_speed(name: str, speed: float) -> None:
 def test_object_that_moves_with_the_belt_stays_with_it(name: str, speed: float) -> None:
     """Catches drag between object and belt, and a belt speed in another unit."""
     v = run(*on_belt(TEN[name], speed, speed), 0.8)
-    assert np.abs(v[15:, 1] / speed - 1).max() < 0.01  # 30 ms to settle: a kick of 6 mm/s where the cup's walls touch down
+    assert (
+        np.abs(v[15:, 1] / speed - 1).max() < 0.01
+    )  # 30 ms to settle: a kick of 6 mm/s where the cup's walls touch down
 
 
 def test_box_slips_on_the_belt_as_far_as_friction_says() -> None:
@@ -191,7 +201,9 @@ def test_free_fall_is_the_integrators_parabola() -> None:
     assert fallen[2] == pytest.approx(G * (n * TIMESTEP) ** 2 / 2, rel=0.01)
     assert data.qvel[2] == pytest.approx(-G * n * TIMESTEP, abs=1e-9)
     run(model, data, 0.6)
-    assert data.qpos[2] == pytest.approx(-0.60 + TEN["mug"].rest_height(), abs=0.01)  # and there is a floor
+    assert data.qpos[2] == pytest.approx(
+        -0.60 + TEN["mug"].rest_height(), abs=0.01
+    )  # and there is a floor
 
 
 @pytest.mark.parametrize("direction", [(0, 1), (0, -1), (1, 0)])
@@ -207,12 +219,16 @@ def test_friction_cone(direction: tuple[int, int]) -> None:
         mujoco.mj_resetData(model, data)
         start = np.array([0.5, 0.0]) - 0.2 * np.array(direction)
         data.qpos[:7] = [*start, 0.01, 1, 0, 0, 0]
-        model.opt.gravity[:] = G * np.array([*(np.sin(angle) * np.array(direction)), -np.cos(angle)])
+        model.opt.gravity[:] = G * np.array(
+            [*(np.sin(angle) * np.array(direction)), -np.cos(angle)]
+        )
         v = run(model, data, 0.5)[:, :2] @ direction
         moved = (data.qpos[:2] - start) @ direction
         if slides:
             acceleration = (v[-1] - v[49]) / ((len(v) - 50) * TIMESTEP)
-            slid_with = np.tan(angle) - acceleration / (G * np.cos(angle))  # from a = g (sin - mu cos)
+            slid_with = np.tan(angle) - acceleration / (
+                G * np.cos(angle)
+            )  # from a = g (sin - mu cos)
             assert slid_with == pytest.approx(mu, rel=0.015)
             assert moved > 0.03
         else:
@@ -288,18 +304,25 @@ def test_palm_and_jacobian_against_pinocchio() -> None:
         model, data, columns = pinocchio_frames(q)
         assert np.abs(frame(model, data, "palm_link") - kinematics.palm(q[:7])).max() < 1e-6
         frame_id = model.getFrameId("palm_link", pin.FrameType.BODY)
-        J = pin.getFrameJacobian(model, data, frame_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:, columns[:7]]
+        J = pin.getFrameJacobian(model, data, frame_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[
+            :, columns[:7]
+        ]
         T = kinematics.palm(q[:7])
         for k in range(7):  # central differences
             step = np.eye(7)[k] * 1e-3
             a, b = kinematics.palm(q[:7] - step), kinematics.palm(q[:7] + step)
             assert np.abs((b - a)[:3, 3] / 2e-3 - J[:3, k]).max() < 1e-6
             assert np.abs(rotation_vector(b[:3, :3] @ a[:3, :3].T) / 2e-3 - J[3:, k]).max() < 1e-6
-        if np.linalg.svd(J)[1][-1] > 0.05:  # away from limits and singular poses the speeds give the twist
+        if (
+            np.linalg.svd(J)[1][-1] > 0.05
+        ):  # away from limits and singular poses the speeds give the twist
             inner = np.clip(q[:7], LOWER + 0.03, UPPER - 0.03)
             if np.array_equal(inner, q[:7]):
                 twist = np.array([0.02, -0.03, 0.01, 0.05, 0.02, -0.04])
-                assert np.abs(J @ kinematics.joint_velocity(q[:7], twist) - twist).max() < 2e-3 * np.abs(twist).max() + 1e-4
+                assert (
+                    np.abs(J @ kinematics.joint_velocity(q[:7], twist) - twist).max()
+                    < 2e-3 * np.abs(twist).max() + 1e-4
+                )
         assert np.array_equal(kinematics.palm(q[:7]), T)
 
 
@@ -313,7 +336,11 @@ def test_arm_is_the_diana_7() -> None:
         R, p = Rotation.identity(), np.zeros(3)
         for k, (*xyz, roll, yaw) in enumerate(DIANA):
             p = p + R.apply(np.array(xyz) / 1000)
-            R = R * Rotation.from_euler("ZX", [90 * yaw, 90 * roll], degrees=True) * Rotation.from_rotvec([0, 0, q[k]])
+            R = (
+                R
+                * Rotation.from_euler("ZX", [90 * yaw, 90 * roll], degrees=True)
+                * Rotation.from_rotvec([0, 0, q[k]])
+            )
             T = pose_of(data, f"link_{k + 1}")
             assert np.abs(T[:3, 3] - p).max() < 1e-9, k
             assert np.abs(T[:3, :3] - R.as_matrix()).max() < 1e-9, k
@@ -331,7 +358,9 @@ def test_every_link_of_the_compiled_robot_against_pinocchio() -> None:
             assert np.abs(frame(other, placed, link) - pose_of(data, link)).max() < 1e-5, link
         palm = data.site("palm_link")
         assert np.abs(frame(other, placed, "palm_link")[:3, 3] - palm.xpos).max() < 1e-5
-        assert np.abs(frame(other, placed, "palm_link")[:3, :3] - palm.xmat.reshape(3, 3)).max() < 1e-5
+        assert (
+            np.abs(frame(other, placed, "palm_link")[:3, :3] - palm.xmat.reshape(3, 3)).max() < 1e-5
+        )
 
 
 def test_limits_are_those_of_the_tables_in_physics_and_urdf() -> None:
@@ -341,11 +370,26 @@ def test_limits_are_those_of_the_tables_in_physics_and_urdf() -> None:
     index, speed = [j.idx_q for j in joints], [j.idx_v for j in joints]
     assert np.abs(model.lowerPositionLimit[index] - lower).max() < 1e-9
     assert np.abs(model.upperPositionLimit[index] - upper).max() < 1e-9
-    assert np.allclose(lower, [-3.1241, -1.5708, -3.1241, 0, -3.1241, -3.1241, -3.1241, *[-0.261799, 0, 0, 0] * 5])
     assert np.allclose(
-        upper, [3.1241, 1.5708, 3.1241, 3.0543, 3.1241, 3.1241, 3.1241, *[0.261799, 1.48353, 1.13446, 1.13446] * 5]
+        lower, [-3.1241, -1.5708, -3.1241, 0, -3.1241, -3.1241, -3.1241, *[-0.261799, 0, 0, 0] * 5]
     )
-    assert np.allclose(model.velocityLimit[speed], [2.967, 2.618, 2.618, 2.618, 3.1416, 3.1416, 3.840, *[3.14] * 20])
+    assert np.allclose(
+        upper,
+        [
+            3.1241,
+            1.5708,
+            3.1241,
+            3.0543,
+            3.1241,
+            3.1241,
+            3.1241,
+            *[0.261799, 1.48353, 1.13446, 1.13446] * 5,
+        ],
+    )
+    assert np.allclose(
+        model.velocityLimit[speed],
+        [2.967, 2.618, 2.618, 2.618, 3.1416, 3.1416, 3.840, *[3.14] * 20],
+    )
     assert arm_scene().jnt_limited[[arm_scene().joint(n).id for n in JOINTS]].all()
 
 
@@ -364,7 +408,9 @@ def test_description_reads_the_urdf_with_its_mimic_joints() -> None:
     assert not description().notes
     assert all(joints[f"{finger}_3"].follows == f"{finger}_2" for finger in hand.FINGERS)
     q = configurations(1, seed=2)[0]
-    values = {n: v for n, v in zip(JOINTS, q, strict=True) if not n.endswith("_3") or n.startswith("arm")}
+    values = {
+        n: v for n, v in zip(JOINTS, q, strict=True) if not n.endswith("_3") or n.startswith("arm")
+    }
     model, data, _ = pinocchio_frames(q)
     for link in (*hand.JOINT_NAMES, "palm_link", "link_7"):
         T, at = np.eye(4), link
@@ -478,7 +524,10 @@ def test_mass_extent_and_stand_of_the_ten(name: str) -> None:
     start = data.qpos.copy()
     run(model, data, 1.0)
     assert np.linalg.norm(data.qpos[:3] - start[:3]) < 1e-3
-    turn = Rotation.from_quat(data.qpos[3:7], scalar_first=True) * Rotation.from_quat(start[3:7], scalar_first=True).inv()
+    turn = (
+        Rotation.from_quat(data.qpos[3:7], scalar_first=True)
+        * Rotation.from_quat(start[3:7], scalar_first=True).inv()
+    )
     assert np.degrees(turn.magnitude()) < (5.0 if thing.rolls else 1.0)
 
 
@@ -487,7 +536,9 @@ def test_walls_of_a_vessel_lean_outwards_all_round() -> None:
     walls = [p for p in TEN["cup"].parts if p.kind == "box"]
     top = [(p.T_object_part @ [0, 0, p.size[2], 1])[:2] for p in walls]
     bottom = [(p.T_object_part @ [0, 0, -p.size[2], 1])[:2] for p in walls]
-    assert np.allclose(np.linalg.norm(top, axis=1) - np.linalg.norm(bottom, axis=1), 0.0375 - 0.030, atol=1e-6)
+    assert np.allclose(
+        np.linalg.norm(top, axis=1) - np.linalg.norm(bottom, axis=1), 0.0375 - 0.030, atol=1e-6
+    )
 
 
 def compiled(thing: ObjectModel) -> mujoco.MjModel:
@@ -500,12 +551,20 @@ def compiled(thing: ObjectModel) -> mujoco.MjModel:
 def facts(thing: ObjectModel) -> list[float]:
     numbers = [thing.mass, *thing.look.colour]
     for p in thing.parts:
-        numbers += [*p.size, *p.T_object_part.ravel(), *([] if p.vertices is None else p.vertices.ravel())]
+        numbers += [
+            *p.size,
+            *p.T_object_part.ravel(),
+            *([] if p.vertices is None else p.vertices.ravel()),
+        ]
     return numbers
 
 
 def like_one_of_the_ten(thing: ObjectModel) -> list[str]:
-    return [n for n, t in TEN.items() if np.abs(np.sort(t.extent()) - np.sort(thing.extent())).max() < 2e-3]
+    return [
+        n
+        for n, t in TEN.items()
+        if np.abs(np.sort(t.extent()) - np.sort(thing.extent())).max() < 2e-3
+    ]
 
 
 def test_procedural_objects_compile_within_bounds_and_repeat() -> None:
@@ -610,7 +669,9 @@ def test_two_builds_and_a_restored_state_run_bit_equal() -> None:
                 saved = np.empty(mujoco.mj_stateSize(model, STATE))
                 mujoco.mj_getState(model, data, saved, STATE)
             mujoco.mj_step(model, data)
-            touching += any({model.geom(g).contype[0] for g in pair} == {1, 2} for pair in data.contact.geom)
+            touching += any(
+                {model.geom(g).contype[0] for g in pair} == {1, 2} for pair in data.contact.geom
+            )
         finals.append(data.qpos.copy())
     assert touching > 20  # the hand meets the cube, so the contact solver was at work
     assert finals[0].tobytes() == finals[1].tobytes()

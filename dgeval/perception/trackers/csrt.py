@@ -55,9 +55,19 @@ class CsrtTracker:
         depth = frame.depth[window[1] : window[3], window[0] : window[2]]
         hand = np.zeros(depth.shape, dtype=bool)
         if frame.hand is not None:
-            hand = hand_pixels(depth, (window[0], window[1]), frame.camera, frame.hand, self.config.self_filter.margin)
+            hand = hand_pixels(
+                depth,
+                (window[0], window[1]),
+                frame.camera,
+                frame.hand,
+                self.config.self_filter.margin,
+            )
         rng = generator(self.config.seed, "plane", frame.index)
-        plane = segmentation.surrounding_plane(depth, window, self._box, hand, frame.camera, rng, self.config.plane)
-        free = segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane) & ~hand
+        plane = segmentation.surrounding_plane(
+            depth, window, self._box, hand, frame.camera, rng, self.config.plane
+        )
+        free = (
+            segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane) & ~hand
+        )
         mask = segmentation.segment_box(depth, window, free, self._box)
         return Tracked("tracked", inside, window, mask, int(mask.sum()), plane=plane)

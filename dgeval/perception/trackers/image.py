@@ -24,19 +24,32 @@ LK: dict[str, Any] = {
 def corners(grey: Grey, mask: NDArray[np.uint8], count: int) -> NDArray[np.float32]:
     """Up to `count` corners (n, 2) px where the mask is not zero, at least 4 px apart."""
     found = cv2.goodFeaturesToTrack(grey, count, 0.01, 4, mask=mask, blockSize=5)
-    return np.zeros((0, 2), np.float32) if found is None else np.asarray(found.reshape(-1, 2), dtype=np.float32)
+    return (
+        np.zeros((0, 2), np.float32)
+        if found is None
+        else np.asarray(found.reshape(-1, 2), dtype=np.float32)
+    )
 
 
-def follow(before: Grey, now: Grey, points: NDArray[np.float32], guess: NDArray[np.float32]) -> tuple[Array, NDArray[np.bool_]]:
+def follow(
+    before: Grey, now: Grey, points: NDArray[np.float32], guess: NDArray[np.float32]
+) -> tuple[Array, NDArray[np.bool_]]:
     """Lucas-Kanade from `before` to `now`, checked backwards: pixels (n, 2) and which of them came back to within 1 px."""
     if not len(points):
         return np.zeros((0, 2)), np.zeros(0, dtype=bool)
     h, w = now.shape
     before, now = _same_size(before, now)
     there, ok, _ = cv2.calcOpticalFlowPyrLK(
-        before, now, points, guess.astype(np.float32).copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **LK
+        before,
+        now,
+        points,
+        guess.astype(np.float32).copy(),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        **LK,
     )
-    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(now, before, there, points.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **LK)
+    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(
+        now, before, there, points.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **LK
+    )
     good = (ok.ravel() > 0) & (ok_back.ravel() > 0) & (np.linalg.norm(back - points, axis=1) < 1.0)
     good &= (there[:, 0] >= 0) & (there[:, 0] < w) & (there[:, 1] >= 0) & (there[:, 1] < h)
     return there.astype(np.float64), good
@@ -47,7 +60,10 @@ def _same_size(a: Grey, b: Grey) -> tuple[Grey, Grey]:
     if a.shape == b.shape:
         return a, b
     h, w = max(a.shape[0], b.shape[0]), max(a.shape[1], b.shape[1])
-    both = [cv2.copyMakeBorder(i, 0, h - i.shape[0], 0, w - i.shape[1], cv2.BORDER_REPLICATE) for i in (a, b)]
+    both = [
+        cv2.copyMakeBorder(i, 0, h - i.shape[0], 0, w - i.shape[1], cv2.BORDER_REPLICATE)
+        for i in (a, b)
+    ]
     return np.asarray(both[0], dtype=np.uint8), np.asarray(both[1], dtype=np.uint8)
 
 
@@ -58,7 +74,9 @@ def similarity(a: Array, b: Array) -> tuple[Array, NDArray[np.bool_]] | None:
     """
     if len(a) < 3:
         return None
-    M, inliers = cv2.estimateAffinePartial2D(a, b, method=cv2.RANSAC, ransacReprojThreshold=2.0, refineIters=10)
+    M, inliers = cv2.estimateAffinePartial2D(
+        a, b, method=cv2.RANSAC, ransacReprojThreshold=2.0, refineIters=10
+    )
     if M is None:
         return None
     return np.asarray(M), np.asarray(inliers).ravel() > 0
@@ -86,7 +104,9 @@ class ImageTrack:
 
     def step(self, grey: Grey) -> float:
         """Move the box to this frame; returns the number of features that agree (0: lost)."""
-        now_points = corners(self._previous, self._ellipse(self._previous, self.box), self.config.corners)
+        now_points = corners(
+            self._previous, self._ellipse(self._previous, self.box), self.config.corners
+        )
         there, good = follow(self._previous, grey, now_points, now_points)
         found = similarity(now_points[good].astype(np.float64), there[good])
         if found is None or found[1].sum() < self.config.min_corners:
@@ -100,7 +120,9 @@ class ImageTrack:
         there, good = follow(self._first, grey, self._first_points, guess)
         good &= np.linalg.norm(there - guess, axis=1) < 6.0
         anchored = similarity(self._first_points[good].astype(np.float64), there[good])
-        if anchored is not None and anchored[1].sum() >= max(self.config.min_corners, 0.3 * len(self._first_points)):
+        if anchored is not None and anchored[1].sum() >= max(
+            self.config.min_corners, 0.3 * len(self._first_points)
+        ):
             M = anchored[0]
         self._M = M
         self.box = carried(self._first_box, M)

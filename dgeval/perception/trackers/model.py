@@ -29,7 +29,10 @@ RIM_FRAMES = 15
 RIM_SHARE = 0.05  # of the box; a larger difference is not the rim's doing
 RIM_ANGLE = 0.12  # rad; beyond this turn of the view other parts of the target make its outline
 BASE_HEIGHT = 0.012  # m; model points this low over the plane stand on it
-MIN_COVER, MIN_FILL = 0.5, 0.2  # of the box, by extent and by area of what has depth in it, before a model is begun
+MIN_COVER, MIN_FILL = (
+    0.5,
+    0.2,
+)  # of the box, by extent and by area of what has depth in it, before a model is begun
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +140,9 @@ class ModelTracker:
         window, mask, plane, depth = found
         self._seen = _Seen(grey, window, mask, depth)
         self._begun = _Begun(box, plane)
-        return Tracked("tracked", self._inside(box, frame.camera), window, mask, int(mask.sum()), plane=plane)
+        return Tracked(
+            "tracked", self._inside(box, frame.camera), window, mask, int(mask.sum()), plane=plane
+        )
 
     def _segment_box(
         self, frame: Frame, box: Box
@@ -155,15 +160,27 @@ class ModelTracker:
             return None  # a patch of depth in the box is not the thing the box holds
         return window, mask, plane, depth
 
-    def _free(self, frame: Frame, window: Window, inner: Box) -> tuple[NDArray[np.float32], NDArray[np.bool_], Plane | None]:
+    def _free(
+        self, frame: Frame, window: Window, inner: Box
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_], Plane | None]:
         """Depth of a window, the pixels that are neither hand nor plane, and the plane."""
         depth = frame.depth[window[1] : window[3], window[0] : window[2]]
         hand = np.zeros(depth.shape, dtype=bool)
         if frame.hand is not None:
-            hand = hand_pixels(depth, (window[0], window[1]), frame.camera, frame.hand, self.config.self_filter.margin)
+            hand = hand_pixels(
+                depth,
+                (window[0], window[1]),
+                frame.camera,
+                frame.hand,
+                self.config.self_filter.margin,
+            )
         rng = generator(self.config.seed, "plane", frame.index)
-        plane = segmentation.surrounding_plane(depth, window, inner, hand, frame.camera, rng, self.config.plane)
-        free = segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane) & ~hand
+        plane = segmentation.surrounding_plane(
+            depth, window, inner, hand, frame.camera, rng, self.config.plane
+        )
+        free = (
+            segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane) & ~hand
+        )
         return depth, free, plane
 
     # colour alone
@@ -187,7 +204,10 @@ class ModelTracker:
     def _image_box(self, frame: Frame, grey: Grey) -> Box | None:
         assert self._image is not None
         agree = self._image.step(grey)
-        if agree < self.config.tracking.min_corners or self._visible(self._image.box, frame.camera) < self._min_visible():
+        if (
+            agree < self.config.tracking.min_corners
+            or self._visible(self._image.box, frame.camera) < self._min_visible()
+        ):
             return None
         return self._inside(self._image.box, frame.camera)
 
@@ -197,7 +217,9 @@ class ModelTracker:
         c = self.config.tracking
         if self._lost_since is not None and frame.t_ns - self._lost_since > c.reacquire_s * 1e9:
             return Tracked("lost")
-        guess = self._with_rim(projected_box(model.points[::4], T_predicted, frame.camera, None), model, T_predicted)
+        guess = self._with_rim(
+            projected_box(model.points[::4], T_predicted, frame.camera, None), model, T_predicted
+        )
         if guess is None or self._visible(guess, frame.camera) < self._min_visible():
             return Tracked("lost")
         window = segmentation.grow(guess, 0.3, 12, frame.camera)
@@ -207,11 +229,18 @@ class ModelTracker:
             plane = self._plane_model.moved(T_predicted)
             depth, free = self._crop(frame, window, plane)
         features = self._follow_features(grey, window, T_predicted, frame.camera)
-        T, agree, n_depth, n_features = self._align(depth, window, free, model, features, T_predicted, frame.camera)
+        T, agree, n_depth, n_features = self._align(
+            depth, window, free, model, features, T_predicted, frame.camera
+        )
         needed = c.min_agree if self._lost_since is None else 0.5 * (1 + c.min_agree)
         by_depth = n_depth >= self.config.observation.min_points and agree >= needed
         by_colour = n_features >= 2 * c.min_corners
-        if self._lost_since is not None and self._keyframes and n_features < c.min_corners and len(features.points) >= 12:
+        if (
+            self._lost_since is not None
+            and self._keyframes
+            and n_features < c.min_corners
+            and len(features.points) >= 12
+        ):
             by_depth = False  # something of the right shape that does not look like the target
         if not by_depth and not by_colour:
             return Tracked("lost", plane=plane)
@@ -228,13 +257,17 @@ class ModelTracker:
         inside = self._inside(box, frame.camera)
         return Tracked("tracked", inside, window, mask, int(mask.sum()), T, features, plane)
 
-    def _crop(self, frame: Frame, window: Window, plane: Plane | None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _crop(
+        self, frame: Frame, window: Window, plane: Plane | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """As `_free`, with the plane already known."""
         depth = frame.depth[window[1] : window[3], window[0] : window[2]]
         free = segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane)
         if frame.hand is not None:
             origin = (window[0], window[1])
-            free &= ~hand_pixels(depth, origin, frame.camera, frame.hand, self.config.self_filter.margin)
+            free &= ~hand_pixels(
+                depth, origin, frame.camera, frame.hand, self.config.self_filter.margin
+            )
         return depth, free
 
     def _align(
@@ -261,7 +294,12 @@ class ModelTracker:
             facing = np.einsum("ij,ij->i", n, p) < -0.2 * np.linalg.norm(p, axis=1)
             p, n = p[facing], n[facing]
             uv = np.rint(camera.project(p)).astype(int) - np.array(window[:2])
-            inside = (uv[:, 0] >= 0) & (uv[:, 0] < depth.shape[1]) & (uv[:, 1] >= 0) & (uv[:, 1] < depth.shape[0])
+            inside = (
+                (uv[:, 0] >= 0)
+                & (uv[:, 0] < depth.shape[1])
+                & (uv[:, 1] >= 0)
+                & (uv[:, 1] < depth.shape[0])
+            )
             p, n, uv = p[inside], n[inside], uv[inside]
             valid = free[uv[:, 1], uv[:, 0]]
             p, n, uv = p[valid], n[valid], uv[valid]
@@ -280,7 +318,11 @@ class ModelTracker:
                 break
             step_T = align.solve(H, g)
             T = step_T @ T
-            if late > 0.6 and np.linalg.norm(step_T[:3, 3]) < 5e-5 and rotation_angle(step_T[:3, :3]) < 1e-4:
+            if (
+                late > 0.6
+                and np.linalg.norm(step_T[:3, 3]) < 5e-5
+                and rotation_angle(step_T[:3, :3]) < 1e-4
+            ):
                 break
         return T, agree, n_depth, n_features
 
@@ -301,22 +343,30 @@ class ModelTracker:
                 return
         x0, y0, x1, y1 = seen.window
         crop = np.ascontiguousarray(seen.grey[y0:y1, x0:x1])
-        inner = cv2.erode(segmentation.fill(seen.mask.astype(np.float32)), np.ones((5, 5), np.uint8))
+        inner = cv2.erode(
+            segmentation.fill(seen.mask.astype(np.float32)), np.ones((5, 5), np.uint8)
+        )
         pixels = corners(crop, (inner > 0).astype(np.uint8) * 255, c.corners)
         smooth = segmentation.smoothed(seen.depth, seen.mask)
         if len(pixels):
             at = np.rint(pixels).astype(int)
-            z = smooth[np.clip(at[:, 1], 0, smooth.shape[0] - 1), np.clip(at[:, 0], 0, smooth.shape[1] - 1)]
+            z = smooth[
+                np.clip(at[:, 1], 0, smooth.shape[0] - 1), np.clip(at[:, 0], 0, smooth.shape[1] - 1)
+            ]
             pixels, z = pixels[z > 0], z[z > 0]
         else:
             z = np.zeros(0)
         if len(pixels) < c.min_corners:
             return
-        in_camera = camera.backproject(pixels[:, 0] + float(x0), pixels[:, 1] + float(y0), z.astype(np.float64))
+        in_camera = camera.backproject(
+            pixels[:, 0] + float(x0), pixels[:, 1] + float(y0), z.astype(np.float64)
+        )
         points = transform(invert(T_previous), in_camera)
         centre = points.mean(axis=0)
         distance = float((T_previous[:3, :3] @ centre + T_previous[:3, 3])[2])
-        self._keyframes.append(_Keyframe(crop, (x0, y0), pixels, points, T_previous, centre, distance))
+        self._keyframes.append(
+            _Keyframe(crop, (x0, y0), pixels, points, T_previous, centre, distance)
+        )
         if len(self._keyframes) > MAX_KEYFRAMES:
             del self._keyframes[1]  # the first one carries the least drift and stays
 
@@ -332,7 +382,9 @@ class ModelTracker:
 
         return min(self._keyframes, key=unlike)
 
-    def _follow_features(self, grey: Grey, window: Window, T: Array, camera: Intrinsics) -> Features:
+    def _follow_features(
+        self, grey: Grey, window: Window, T: Array, camera: Intrinsics
+    ) -> Features:
         key = self._nearest(T)
         if key is None:
             return Features(np.zeros((0, 3)), np.zeros((0, 2)))
@@ -359,15 +411,21 @@ class ModelTracker:
         if box is None:
             return
         size = np.array([box[2] - box[0], box[3] - box[1]] * 2)
-        distance = float((self._T_begun[:3, :3] @ model.points.mean(axis=0) + self._T_begun[:3, 3])[2])
-        rim = np.clip(np.array(self._begun.box) - np.array(box), -RIM_SHARE * size, RIM_SHARE * size)
+        distance = float(
+            (self._T_begun[:3, :3] @ model.points.mean(axis=0) + self._T_begun[:3, 3])[2]
+        )
+        rim = np.clip(
+            np.array(self._begun.box) - np.array(box), -RIM_SHARE * size, RIM_SHARE * size
+        )
         self._rim = rim, distance
 
     def _with_rim(self, box: Box | None, model: Model, T: Array) -> Box | None:
         if box is None or self._rim is None:
             return box
         distance = float((T[:3, :3] @ model.points.mean(axis=0) + T[:3, 3])[2])
-        x0, y0, x1, y1 = (np.array(box) + self._rim[0] * (self._rim[1] / max(distance, 0.05))).tolist()
+        x0, y0, x1, y1 = (
+            np.array(box) + self._rim[0] * (self._rim[1] / max(distance, 0.05))
+        ).tolist()
         return x0, y0, x1, y1
 
     def _inside(self, box: Box, camera: Intrinsics) -> Box:
@@ -388,7 +446,9 @@ class ModelTracker:
         return self.config.tracking.min_visible
 
 
-def projected_box(points: Array, T_camera_model: Array, camera: Intrinsics, plane: Plane | None) -> Box | None:
+def projected_box(
+    points: Array, T_camera_model: Array, camera: Intrinsics, plane: Plane | None
+) -> Box | None:
     """Extent px of the projected model without its few farthest points; None with too few in front of the camera.
 
     The plane's removal takes the lowest millimetres of what stands on it, so the lowest points also count where their

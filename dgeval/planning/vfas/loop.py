@@ -23,7 +23,10 @@ from dgeval.robots.parallel_jaw import OPENING
 
 FAR = 0.8  # m; what lies behind is no scene to grasp from
 MOST_PIXELS = 40_000
-EDGE_PX, EDGE_M = 5, 0.025  # window, and what lies within it, of a surface; beyond it an edge with flying pixels
+EDGE_PX, EDGE_M = (
+    5,
+    0.025,
+)  # window, and what lies within it, of a surface; beyond it an edge with flying pixels
 SAMPLED = 256  # poses that the evaluator chooses a seed from
 SCENE_POINTS = 20_000  # of the scene, as Contact-GraspNet was trained
 
@@ -31,7 +34,9 @@ SCENE_POINTS = 20_000  # of the scene, as Contact-GraspNet was trained
 @cache
 def evaluator_of(path: str | None) -> GraspEvaluator:
     """The evaluator of a file of weights, the shipped one without."""
-    shipped = Path(str(resources.files("dgeval.networks") / "weights" / "vfas_evaluator.safetensors"))
+    shipped = Path(
+        str(resources.files("dgeval.networks") / "weights" / "vfas_evaluator.safetensors")
+    )
     return load_evaluator(shipped if path is None else Path(path))
 
 
@@ -44,7 +49,9 @@ def scene_cloud(frame: Frame, T_base_camera: Array, margin: float) -> Array:
     depth = frame.depth
     valid = (depth > 0) & (depth < FAR)
     window = np.ones((EDGE_PX, EDGE_PX), np.uint8)
-    jump = cv2.dilate(depth, window) - cv2.erode(np.where(depth > 0, depth, np.float32(1e3)), window)
+    jump = cv2.dilate(depth, window) - cv2.erode(
+        np.where(depth > 0, depth, np.float32(1e3)), window
+    )
     valid &= jump < EDGE_M
     if frame.hand is not None:
         valid &= ~hand_pixels(depth, (0, 0), frame.camera, frame.hand, margin)
@@ -54,7 +61,9 @@ def scene_cloud(frame: Frame, T_base_camera: Array, margin: float) -> Array:
     return transform(T_base_camera, frame.camera.backproject(u, v, depth[v, u].astype(np.float64)))
 
 
-def seed_from_cloud(cloud: Array, judge: GraspJudge, T_base_camera: Array, seed: int) -> Array | None:
+def seed_from_cloud(
+    cloud: Array, judge: GraspJudge, T_base_camera: Array, seed: int
+) -> Array | None:
     """The best of grasps drawn on a cloud, T_base_grasp: about its points, across what is narrow; None where none fits.
 
     Stands in for Contact-GraspNet where no seed is given and `vfas.contact_graspnet` names no weights.
@@ -65,13 +74,23 @@ def seed_from_cloud(cloud: Array, judge: GraspJudge, T_base_camera: Array, seed:
         target = cloud[rng.integers(len(cloud))]
         R = perturbed(T_base_camera[None], np.zeros(3), np.radians(40), rng)[0][:3, :3]
         turn = rng.uniform(0, np.pi)
-        R = R @ np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+        R = R @ np.array(
+            [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]]
+        )
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R, target
         local = transform(invert(T), cloud)
-        slab = local[(np.abs(local[:, 1]) < 0.011) & (np.abs(local[:, 2]) < 0.02) & (np.abs(local[:, 0]) < 0.07)]
+        slab = local[
+            (np.abs(local[:, 1]) < 0.011)
+            & (np.abs(local[:, 2]) < 0.02)
+            & (np.abs(local[:, 0]) < 0.07)
+        ]
         if len(slab) > 5 and np.ptp(slab[:, 0]) < OPENING:
-            T[:3, 3] += R @ [float(slab[:, 0].min() + slab[:, 0].max()) / 2, 0, rng.uniform(0.0, 0.02)]
+            T[:3, 3] += R @ [
+                float(slab[:, 0].min() + slab[:, 0].max()) / 2,
+                0,
+                rng.uniform(0.0, 0.02),
+            ]
             poses.append(T)
     if not poses:
         return None
@@ -85,7 +104,9 @@ def contact_graspnet_of(weights: str) -> ContactGraspNet:
     return load_contact_graspnet(None if weights == "installed" else Path(weights))
 
 
-def seed_from_contacts(cloud: Array, network: ContactGraspNet, judge: GraspJudge, seed: int) -> Array | None:
+def seed_from_contacts(
+    cloud: Array, network: ContactGraspNet, judge: GraspJudge, seed: int
+) -> Array | None:
     """Of Contact-GraspNet's most confident grasps, none wider than our jaws open, the evaluator's best, T_base_grasp.
 
     Its own first choice won't do: in a wrist camera's near view it is often on the table or on what is far away.
@@ -113,7 +134,11 @@ class VfasLoop:
         self._config, self._given = config, T_base_seed
         network, c = evaluator_of(config.vfas.evaluator), config.vfas
         if c.labels is not None or c.centre is not None:
-            sizes = replace(network.sizes, labels=c.labels or network.sizes.labels, centre=c.centre or network.sizes.centre)
+            sizes = replace(
+                network.sizes,
+                labels=c.labels or network.sizes.labels,
+                centre=c.centre or network.sizes.centre,
+            )
             network, trained = GraspEvaluator(sizes).eval(), network
             network.load_state_dict(trained.state_dict())
         self._judge = GraspJudge(network, c)
@@ -135,10 +160,14 @@ class VfasLoop:
         centre = self._planner.T_base_seed[:3, 3]
         self.velocity = None
         if c.motion_field:
-            self.velocity = self._motion.step(frame.t_ns, frame.colour, frame.depth, frame.camera, T_base_camera, centre, c.rho)
+            self.velocity = self._motion.step(
+                frame.t_ns, frame.colour, frame.depth, frame.camera, T_base_camera, centre, c.rho
+            )
         seconds = max((frame.t_ns - self._last_ns) * 1e-9, 1e-3)
         self._last_ns = frame.t_ns
-        return self._planner.step(frame.index, seconds, cloud, self.velocity, frame.T_base_palm if may_execute else None)
+        return self._planner.step(
+            frame.index, seconds, cloud, self.velocity, frame.T_base_palm if may_execute else None
+        )
 
     def _seed(self, frame: Frame, cloud: Array, T_base_camera: Array) -> Array | None:
         if self._given is not None:
@@ -151,5 +180,11 @@ class VfasLoop:
             ahead[2, 3] = c.search_ahead
             return frame.T_base_palm @ ahead
         if c.contact_graspnet is not None:
-            return seed_from_contacts(cloud, contact_graspnet_of(c.contact_graspnet), self._judge, self._config.seed)
-        return seed_from_cloud(cloud, self._judge, T_base_camera, self._config.seed) if len(cloud) else None
+            return seed_from_contacts(
+                cloud, contact_graspnet_of(c.contact_graspnet), self._judge, self._config.seed
+            )
+        return (
+            seed_from_cloud(cloud, self._judge, T_base_camera, self._config.seed)
+            if len(cloud)
+            else None
+        )

@@ -14,10 +14,14 @@ from numpy.typing import NDArray
 from dgeval.geometry import Array, Intrinsics, transform
 
 Grey = NDArray[np.uint8]
-Flow = Callable[[Grey, Grey], NDArray[np.float32]]  # two grey images (h, w) -> displacement (h, w, 2) px of the first's pixels
+Flow = Callable[
+    [Grey, Grey], NDArray[np.float32]
+]  # two grey images (h, w) -> displacement (h, w, 2) px of the first's pixels
 MOST = 4000  # pixels that are lifted
 LEAST = 10  # points without which there is no motion to tell
-TRIM = 0.2  # share left out at each end, along each axis: flow across an edge ends on another surface
+TRIM = (
+    0.2  # share left out at each end, along each axis: flow across an edge ends on another surface
+)
 
 
 def dis_flow() -> Flow:
@@ -76,4 +80,6 @@ class MotionField:
             return None
         ordered = np.sort(way[good], axis=0)
         cut = int(TRIM * len(ordered))
-        return np.asarray(ordered[cut : len(ordered) - cut].mean(axis=0) / ((t_ns - then_ns) * 1e-9))
+        return np.asarray(
+            ordered[cut : len(ordered) - cut].mean(axis=0) / ((t_ns - then_ns) * 1e-9)
+        )

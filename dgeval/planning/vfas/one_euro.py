@@ -7,7 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgeval.config import OneEuroConfig
-from dgeval.geometry import Array, interpolate_pose, matrix_from_pose, pose_from_matrix, rotation_angle
+from dgeval.geometry import (
+    Array,
+    interpolate_pose,
+    matrix_from_pose,
+    pose_from_matrix,
+    rotation_angle,
+)
 
 
 def smoothing(cutoff: float | Array, seconds: float) -> float | Array:
@@ -45,7 +51,9 @@ class PoseFilter:
 
     def __init__(self, config: OneEuroConfig) -> None:
         self._config = config
-        self._position = OneEuroFilter(config.position_cutoff, config.position_beta, config.d_cutoff)
+        self._position = OneEuroFilter(
+            config.position_cutoff, config.position_beta, config.d_cutoff
+        )
         self._rotation: Array | None = None
         self._turning = 0.0
 
@@ -63,7 +71,9 @@ class PoseFilter:
         else:
             c = self._config
             a = smoothing(c.d_cutoff, seconds)
-            self._turning = float(a * rotation_angle(self._rotation.T @ T[:3, :3]) / seconds + (1 - a) * self._turning)
+            self._turning = float(
+                a * rotation_angle(self._rotation.T @ T[:3, :3]) / seconds + (1 - a) * self._turning
+            )
             alpha = float(smoothing(c.rotation_cutoff + c.rotation_beta * self._turning, seconds))
             before, now = np.eye(4), np.eye(4)
             before[:3, :3], now[:3, :3] = self._rotation, T[:3, :3]

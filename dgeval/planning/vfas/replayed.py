@@ -43,11 +43,17 @@ class VfasGrasps:
         chosen = at[1]
         row.update(pose_columns("grasp", chosen.T_base_seed))
         if not np.isnan(chosen.score):  # the last advance is open loop
-            row["grasp_score"], row["grasp_quality"], row["grasp_spread"] = chosen.score, chosen.quality, chosen.spread
+            row["grasp_score"], row["grasp_quality"], row["grasp_spread"] = (
+                chosen.score,
+                chosen.quality,
+                chosen.spread,
+            )
         row["n_grasps"], row["region_factor"] = chosen.n, chosen.factor
         row["execute"] = chosen.execute
         if self._loop.velocity is not None:
-            row.update(zip(("motion_x", "motion_y", "motion_z"), self._loop.velocity.tolist(), strict=True))
+            row.update(
+                zip(("motion_x", "motion_y", "motion_z"), self._loop.velocity.tolist(), strict=True)
+            )
         if hand is None:
             return
         goal = chosen.T_base_goal

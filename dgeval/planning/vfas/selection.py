@@ -75,11 +75,18 @@ class GraspJudge:
             return np.stack([self._about_the_mean(cloud, T_base_grasp) for cloud in clouds])
         T: Array = np.linalg.inv(T_base_grasp).astype(np.float64)
         cropped = [crop(cloud, T, CROP_LOW, CROP_HIGH, s.scene) for cloud in clouds]
-        points, counts = np.concatenate([c[0] for c in cropped]), np.concatenate([c[1] for c in cropped])
+        points, counts = (
+            np.concatenate([c[0] for c in cropped]),
+            np.concatenate([c[1] for c in cropped]),
+        )
         out = np.zeros(len(points))
         able = np.flatnonzero(counts >= LEAST_POINTS)
         if len(able):
-            out[able] = self._network.success(torch.from_numpy(points[able]), self._gripper).double().numpy()
+            out[able] = (
+                self._network.success(torch.from_numpy(points[able]), self._gripper)
+                .double()
+                .numpy()
+            )
         return out.reshape(len(clouds), -1)
 
     def _about_the_mean(self, cloud: Array, T_base_grasp: Array) -> Array:
@@ -89,11 +96,21 @@ class GraspJudge:
         points = cloud[np.arange(self._network.sizes.scene) % len(cloud)]
         mean = points.mean(axis=0)
         tool = CONTROL_POINTS - [0, 0, PANDA_BEHIND]
-        grippers = tool @ np.swapaxes(T_base_grasp[:, :3, :3], 1, 2) + T_base_grasp[:, None, :3, 3] - mean
+        grippers = (
+            tool @ np.swapaxes(T_base_grasp[:, :3, :3], 1, 2) + T_base_grasp[:, None, :3, 3] - mean
+        )
         scene = np.tile((points - mean).astype(np.float32), (len(T_base_grasp), 1, 1))
-        return self._network.success(torch.from_numpy(scene), torch.from_numpy(grippers.astype(np.float32))).double().numpy()
+        return (
+            self._network.success(
+                torch.from_numpy(scene), torch.from_numpy(grippers.astype(np.float32))
+            )
+            .double()
+            .numpy()
+        )
 
-    def scores(self, cloud: Array, T_base_grasp: Array, T_seed: Array, rng: np.random.Generator) -> Scores:
+    def scores(
+        self, cloud: Array, T_base_grasp: Array, T_seed: Array, rng: np.random.Generator
+    ) -> Scores:
         """Scores of candidates. `all`: k noisy copies of every one, as the paper; `top8`: of the eight that lead without."""
         c = self._config
         metres, radians = distances(T_seed, T_base_grasp)
@@ -111,7 +128,9 @@ class GraspJudge:
         spread[chosen] = np.ptp(noisy, axis=0)
         quality[chosen] = noisy.mean(axis=0)
         # only those whose spread is known may be chosen
-        score = np.where(np.isnan(spread), -np.inf, quality - penalty - c.k3 * np.nan_to_num(spread))
+        score = np.where(
+            np.isnan(spread), -np.inf, quality - penalty - c.k3 * np.nan_to_num(spread)
+        )
         return Scores(score, quality, spread)
 
 
@@ -136,7 +155,14 @@ class Selected:
 class Vfas:
     """The planner's state through a trial. `searching`: the seed stays until a good grasp is found (handover)."""
 
-    def __init__(self, judge: GraspJudge, config: VfasConfig, seed: int, T_base_seed: Array, searching: bool = False) -> None:
+    def __init__(
+        self,
+        judge: GraspJudge,
+        config: VfasConfig,
+        seed: int,
+        T_base_seed: Array,
+        searching: bool = False,
+    ) -> None:
         self._judge, self._config, self._seed = judge, config, seed
         self.T_base_seed = T_base_seed
         self.tracking = not searching
@@ -145,7 +171,14 @@ class Vfas:
         self._final: Array | None = None
         self._filter = PoseFilter(config.filter)
 
-    def step(self, iteration: int, seconds: float, cloud: Array, velocity: Array | None, T_base_hand: Array | None) -> Selected:
+    def step(
+        self,
+        iteration: int,
+        seconds: float,
+        cloud: Array,
+        velocity: Array | None,
+        T_base_hand: Array | None,
+    ) -> Selected:
         """One iteration, `seconds` after the one before it.
 
         cloud (m, 3): what the wrist camera sees, base frame. velocity (3,) m/s: of the motion field, None where it has none.
@@ -159,7 +192,9 @@ class Vfas:
             self.T_base_seed[:3, 3] += velocity * seconds
             self._filter.shift(velocity * seconds)
         rng = generator(self._seed, "vfas", iteration)
-        near = cloud[((cloud - self.T_base_seed[:3, 3]) ** 2).sum(axis=1) < (REACH + 0.02 * self.factor) ** 2]
+        near = cloud[
+            ((cloud - self.T_base_seed[:3, 3]) ** 2).sum(axis=1) < (REACH + 0.02 * self.factor) ** 2
+        ]
         near = near[rng.permutation(len(near))[:MOST_POINTS]]
         factor, n = self.factor, round(c.candidates * self.factor)
         half, angle = np.full(3, c.half_width * factor), np.radians(c.half_angle) * factor
@@ -185,7 +220,9 @@ class Vfas:
         """No sampling: the last advance, which is open loop, and the baseline, whose seed is executed as it was given."""
         nan = float("nan")
         goal = self._goal(T_base_hand, True) if self._final is None else self._final
-        return Selected(self.T_base_seed, goal, nan, nan, nan, 1.0, 0, True, self._final is not None)
+        return Selected(
+            self.T_base_seed, goal, nan, nan, nan, 1.0, 0, True, self._final is not None
+        )
 
     def _goal(self, T_base_hand: Array | None, good: bool) -> Array:
         """The pre-grasp pose; the grasp, for good, once that has been held."""
@@ -203,7 +240,8 @@ class Vfas:
             T_base_hand is not None
             and good
             and float(np.linalg.norm(T_base_hand[:3, 3] - T_base_pregrasp[:3, 3])) < c.hold_distance
-            and rotation_angle(T_base_hand[:3, :3].T @ T_base_pregrasp[:3, :3]) < np.radians(c.hold_angle)
+            and rotation_angle(T_base_hand[:3, :3].T @ T_base_pregrasp[:3, :3])
+            < np.radians(c.hold_angle)
         )
         self._held = self._held + 1 if within else 0
         return self._held >= c.hold_iterations

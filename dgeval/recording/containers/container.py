@@ -97,12 +97,18 @@ class Opened:
             raise
         except Exception as error:
             what = f"can't decode a {self.topics[message.topic].type} ({describe(error)})"
-            raise UndecodableError(what, Place(str(self.path), message.topic, message.log_ns, message.offset)) from error
+            raise UndecodableError(
+                what, Place(str(self.path), message.topic, message.log_ns, message.offset)
+            ) from error
 
 
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file, or of a folder's recording files in name order (each by name and content)."""
-    files = [path] if path.is_file() else sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3", ".yaml"))
+    files = (
+        [path]
+        if path.is_file()
+        else sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3", ".yaml"))
+    )
     digest = hashlib.sha256()
     for file in files:
         if path.is_dir():

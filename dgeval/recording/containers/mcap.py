@@ -79,7 +79,9 @@ class McapContainer:
         for channel in self._channels.values():
             self._add_topic(channel, counts)
 
-    def _place(self, offset: int | None = None, topic: str | None = None, t_ns: int | None = None) -> Place:
+    def _place(
+        self, offset: int | None = None, topic: str | None = None, t_ns: int | None = None
+    ) -> Place:
         return Place(str(self.path), topic, t_ns, offset)
 
     @property
@@ -98,23 +100,32 @@ class McapContainer:
             footer_start = stream.tell()
             tail = stream.read()
             if not tail.endswith(MCAP_MAGIC):
-                raise mcap.exceptions.McapError("the file does not end with the MCAP magic: it is cut or still written")
+                raise mcap.exceptions.McapError(
+                    "the file does not end with the MCAP magic: it is cut or still written"
+                )
             if tail[0] != Opcode.FOOTER:
                 raise mcap.exceptions.McapError("no footer record before the closing magic")
             summary_start, _, summary_crc = struct.unpack_from("<QQI", tail, 9)
             if summary_start == 0:
                 return {}
             if not 0 < summary_start <= footer_start:
-                raise mcap.exceptions.McapError(f"summary offset {summary_start} lies outside the file")
+                raise mcap.exceptions.McapError(
+                    f"summary offset {summary_start} lies outside the file"
+                )
             stream.seek(summary_start)
             body = stream.read(footer_start - summary_start)
-            if summary_crc and zlib.crc32(tail[: FOOTER_LENGTH - 4], zlib.crc32(body)) != summary_crc:
+            if (
+                summary_crc
+                and zlib.crc32(tail[: FOOTER_LENGTH - 4], zlib.crc32(body)) != summary_crc
+            ):
                 raise mcap.exceptions.McapError("the summary's CRC does not match")
             stream.seek(summary_start)
             chunks: list[_Chunk] = []
             counts: dict[int, int] = {}
             total: int | None = None
-            for record in StreamReader(stream, skip_magic=True, record_size_limit=self._size).records:
+            for record in StreamReader(
+                stream, skip_magic=True, record_size_limit=self._size
+            ).records:
                 if isinstance(record, mcap.records.Schema):
                     self._schemas[record.id] = record
                 elif isinstance(record, mcap.records.Channel):
@@ -132,7 +143,9 @@ class McapContainer:
                     counts = dict(record.channel_message_counts)
                     total = record.message_count
                     if record.chunk_count != len(chunks) and chunks:
-                        raise mcap.exceptions.McapError("the statistics and the chunk index disagree")
+                        raise mcap.exceptions.McapError(
+                            "the statistics and the chunk index disagree"
+                        )
         if total is not None and counts and sum(counts.values()) != total:
             raise mcap.exceptions.McapError("the statistics contradict themselves")
         if total is not None and not counts:
@@ -194,13 +207,19 @@ class McapContainer:
                     new = self._read_chunk(stream, chunk.offset, topics)
                 except BROKEN as error:
                     what = f"a chunk is damaged ({describe(error)})"
-                    yield from sorted((m for m in pending if m.log_ns < chunk.start_ns), key=lambda m: m.log_ns)
+                    yield from sorted(
+                        (m for m in pending if m.log_ns < chunk.start_ns), key=lambda m: m.log_ns
+                    )
                     self._fault(Damage(what, self._place(chunk.offset), chunk.start_ns))
                     return
-                pending = sorted([*pending, *new], key=lambda m: m.log_ns)  # stable: ties stay in file order
+                pending = sorted(
+                    [*pending, *new], key=lambda m: m.log_ns
+                )  # stable: ties stay in file order
                 if i + 1 < len(chunks):
                     limit = chunks[i + 1].start_ns
-                    split = next((k for k, m in enumerate(pending) if m.log_ns >= limit), len(pending))
+                    split = next(
+                        (k for k, m in enumerate(pending) if m.log_ns >= limit), len(pending)
+                    )
                     yield from pending[:split]
                     pending = pending[split:]
             yield from pending
@@ -213,16 +232,24 @@ class McapContainer:
                 return
         self.damage.append(damage)
 
-    def _read_chunk(self, stream: IO[bytes], offset: int, topics: frozenset[str] | None) -> list[RawMessage]:
+    def _read_chunk(
+        self, stream: IO[bytes], offset: int, topics: frozenset[str] | None
+    ) -> list[RawMessage]:
         stream.seek(offset)
         opcode, length = struct.unpack("<BQ", stream.read(9))
         if opcode != Opcode.CHUNK or offset + 9 + length > self._size:
-            raise mcap.exceptions.McapError("the index points to something that is not a chunk inside the file")
+            raise mcap.exceptions.McapError(
+                "the index points to something that is not a chunk inside the file"
+            )
         return self._open_chunk(mcap.records.Chunk.read(ReadDataStream(stream)), offset, topics)
 
-    def _open_chunk(self, chunk: mcap.records.Chunk, offset: int, topics: frozenset[str] | None) -> list[RawMessage]:
+    def _open_chunk(
+        self, chunk: mcap.records.Chunk, offset: int, topics: frozenset[str] | None
+    ) -> list[RawMessage]:
         if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-            raise mcap.exceptions.McapError(f"a chunk claims {chunk.uncompressed_size} bytes, over dgeval's limit of 1 GiB")
+            raise mcap.exceptions.McapError(
+                f"a chunk claims {chunk.uncompressed_size} bytes, over dgeval's limit of 1 GiB"
+            )
         if chunk.uncompressed_crc == 0:
             self._zero_crcs = True
         plain = replace(chunk, compression="", data=_expand(chunk))
@@ -247,19 +274,25 @@ class McapContainer:
     @staticmethod
     def _agree(known: Any, seen: Any) -> None:
         if known != seen:
-            raise mcap.exceptions.McapError(f"the summary and the data disagree on {type(seen).__name__.lower()} {seen.id}")
+            raise mcap.exceptions.McapError(
+                f"the summary and the data disagree on {type(seen).__name__.lower()} {seen.id}"
+            )
 
     def _sequential(self, topics: frozenset[str] | None) -> Iterator[RawMessage]:
         """Front to back; stops with a Damage at the first fault. Chunks are sorted inside, not across."""
         last_ns: int | None = None
         offset = 0
         with self.path.open("rb") as stream:
-            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=self._size)
+            reader = StreamReader(
+                stream, emit_chunks=True, validate_crcs=True, record_size_limit=self._size
+            )
             try:
                 for record in reader.records:
                     self._check_kinds(stream, offset or len(MCAP_MAGIC))
                     if isinstance(record, mcap.records.Chunk):
-                        for message in sorted(self._open_chunk(record, offset, topics), key=lambda m: m.log_ns):
+                        for message in sorted(
+                            self._open_chunk(record, offset, topics), key=lambda m: m.log_ns
+                        ):
                             last_ns = message.log_ns
                             yield message
                     elif isinstance(record, mcap.records.Header):
@@ -279,7 +312,9 @@ class McapContainer:
             except CRCValidationError as error:
                 if isinstance(error.record, mcap.records.DataEnd):
                     self._refuse_unchunked()
-                self._fault(Damage(f"a chunk is damaged ({describe(error)})", self._place(offset), last_ns))
+                self._fault(
+                    Damage(f"a chunk is damaged ({describe(error)})", self._place(offset), last_ns)
+                )
             except BROKEN as error:
                 what = f"the file breaks off or is damaged ({describe(error)})"
                 self._fault(Damage(what, self._place(offset), last_ns))
@@ -314,7 +349,9 @@ def _expand(chunk: mcap.records.Chunk) -> bytes:
     else:
         raise mcap.exceptions.McapError(f"unknown compression {chunk.compression!r}")
     if len(data) != size:
-        raise mcap.exceptions.McapError(f"a chunk claims {size} bytes and expands to {len(data)} or more")
+        raise mcap.exceptions.McapError(
+            f"a chunk claims {size} bytes and expands to {len(data)} or more"
+        )
     return bytes(data)
 
 

@@ -26,9 +26,13 @@ def open_container(path: Path) -> Opened:
             if len(inside) == 1 and inside[0].suffix == ".mcap":
                 return Opened(McapContainer(inside[0]), path)
             if not inside:
-                raise UnreadableError("a folder without a .mcap or .db3 file is not a ROS 2 recording", place)
+                raise UnreadableError(
+                    "a folder without a .mcap or .db3 file is not a ROS 2 recording", place
+                )
             if any(p.suffix == ".mcap" for p in inside):
-                raise UnreadableError(f"{len(inside)} recordings in one folder", place, "give the parts as a manifest")
+                raise UnreadableError(
+                    f"{len(inside)} recordings in one folder", place, "give the parts as a manifest"
+                )
             return Opened(RosbagsContainer(path), path)
         with path.open("rb") as stream:
             head = stream.read(16)
@@ -45,4 +49,6 @@ def open_container(path: Path) -> Opened:
         hint = "this is a git-LFS pointer, not the recording: run `git lfs pull`"
     elif head.lstrip()[:1] == b"<":
         hint = "this is a web page, not the recording: download it again"
-    raise UnreadableError("neither MCAP, ROS 1 bag nor ROS 2 SQLite by its first bytes", place, hint)
+    raise UnreadableError(
+        "neither MCAP, ROS 1 bag nor ROS 2 SQLite by its first bytes", place, hint
+    )

@@ -31,9 +31,13 @@ class RosbagsContainer:
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             files = sorted(path.glob("*.db3"))
             if len(files) != 1:
-                raise UnreadableError("no metadata.yaml, and more than one .db3", Place(str(path)), "name one file")
+                raise UnreadableError(
+                    "no metadata.yaml, and more than one .db3", Place(str(path)), "name one file"
+                )
             self._source = files[0]
-        self.kind = "ROS 1 bag" if path.suffix == ".bag" or _is_bag(self._source) else "ROS 2 SQLite"
+        self.kind = (
+            "ROS 1 bag" if path.suffix == ".bag" or _is_bag(self._source) else "ROS 2 SQLite"
+        )
         if self.kind == "ROS 2 SQLite":
             self._check_sqlite()
         else:
@@ -41,15 +45,21 @@ class RosbagsContainer:
         reader = self._open()
         try:
             store = reader.typestore
-            deserialize = store.deserialize_ros1 if self.kind == "ROS 1 bag" else store.deserialize_cdr
+            deserialize = (
+                store.deserialize_ros1 if self.kind == "ROS 1 bag" else store.deserialize_cdr
+            )
             for connection in reader.connections:
                 decode: Callable[[bytes], Any] = partial(deserialize, typename=connection.msgtype)
                 if connection.msgtype not in store.fielddefs:
-                    decode = partial(_unknown_type, connection.msgtype, Place(str(path), connection.topic))
+                    decode = partial(
+                        _unknown_type, connection.msgtype, Place(str(path), connection.topic)
+                    )
                 before = self.topics.get(connection.topic)
                 count = connection.msgcount + (before.count or 0 if before else 0)
                 encoding = "ros1" if self.kind == "ROS 1 bag" else "cdr"
-                self.topics[connection.topic] = Topic(connection.topic, connection.msgtype, encoding, count, decode)
+                self.topics[connection.topic] = Topic(
+                    connection.topic, connection.msgtype, encoding, count, decode
+                )
         finally:
             reader.close()
 
@@ -75,7 +85,9 @@ class RosbagsContainer:
                 finally:
                     connection.close()
             except (sqlite3.Error, UnicodeDecodeError) as error:
-                raise UnreadableError(f"the SQLite file is damaged ({describe(error)})", Place(str(file))) from error
+                raise UnreadableError(
+                    f"the SQLite file is damaged ({describe(error)})", Place(str(file))
+                ) from error
             if orphans:
                 what = f"{orphans} messages belong to no topic of the file and can't be used"
                 self.damage.append(Damage(what, Place(str(file))))
@@ -105,7 +117,9 @@ class RosbagsContainer:
                     if _number(fields[b"count"]) * 8 != len(data):
                         raise ValueError("a chunk's summary is not as long as it says")
                     for i in range(0, len(data), 8):
-                        listed[_number(fields[b"chunk_pos"]), _number(data[i : i + 4])] = _number(data[i + 4 : i + 8])
+                        listed[_number(fields[b"chunk_pos"]), _number(data[i : i + 4])] = _number(
+                            data[i + 4 : i + 8]
+                        )
         except (KeyError, IndexError, ValueError) as error:
             what = f"its records don't follow one another ({describe(error)})"
             self.damage.append(Damage(what, Place(str(self.path))))
@@ -128,7 +142,9 @@ class RosbagsContainer:
                 try:
                     connection, log_ns, raw = next(stream)
                     if not isinstance(raw, bytes | bytearray | memoryview):
-                        raise TypeError(f"a message is stored as {type(raw).__name__}, not as bytes")
+                        raise TypeError(
+                            f"a message is stored as {type(raw).__name__}, not as bytes"
+                        )
                     if not _is_time(log_ns):
                         raise TypeError(f"a message's time is {log_ns!r}")
                 except StopIteration:

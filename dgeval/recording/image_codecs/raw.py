@@ -29,9 +29,16 @@ def decode(message: Any) -> Pixels:
     row = width * channels * item.itemsize
     data = np.frombuffer(memoryview(message.data), dtype=np.uint8)
     if height <= 0 or width <= 0 or step < row or len(data) < step * (height - 1) + row:
-        raise ValueError(f"{len(data)} bytes are not {width}x{height} {message.encoding} with step {step}")
+        raise ValueError(
+            f"{len(data)} bytes are not {width}x{height} {message.encoding} with step {step}"
+        )
     if len(data) < step * height:  # the padding of the last row may be missing
         data = np.concatenate([data, np.zeros(step * height - len(data), np.uint8)])
     rows = data[: step * height].reshape(height, step)[:, :row]
-    array = np.ascontiguousarray(rows).view(item).reshape(height, width, channels).astype(dtype, copy=False)
+    array = (
+        np.ascontiguousarray(rows)
+        .view(item)
+        .reshape(height, width, channels)
+        .astype(dtype, copy=False)
+    )
     return Pixels(array[:, :, 0] if channels == 1 else array, message.encoding)
