@@ -15,9 +15,11 @@ from dgeval.schema import (
 
 ROWS_PER_GROUP = 500
 
+
 def file_name(trial: str) -> str:
     """A trial's id as a file name: path separators and characters that some file systems refuse replaced."""
     return "".join(c if c.isalnum() or c in "-_.#+" else "~" for c in trial)
+
 
 class TableFile:
     """A Parquet file written in row groups, so that a long trial never lies in memory; renamed when complete."""
@@ -50,10 +52,12 @@ class TableFile:
         else:
             self._part.unlink(missing_ok=True)
 
+
 def write_table(path: Path, table: Any) -> None:
     part = path.with_name(path.name + ".part")
     pq.write_table(table, part, compression="zstd")
     part.replace(path)
+
 
 def write_atomically(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -61,10 +65,13 @@ def write_atomically(path: Path, text: str) -> None:
     part.write_text(text, encoding="utf-8")
     part.replace(path)
 
+
 def write_ply(path: Path, points: Any, normals: Any) -> None:
     """Binary little-endian PLY, float32 points and normals, model frame, m."""
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
-    head += "".join(f"property float {n}\n" for n in ("x", "y", "z", "nx", "ny", "nz")) + "end_header\n"
+    head += (
+        "".join(f"property float {n}\n" for n in ("x", "y", "z", "nx", "ny", "nz")) + "end_header\n"
+    )
     part = path.with_name(path.name + ".part")
     part.write_bytes(head.encode() + np.hstack([points, normals]).astype("<f4").tobytes())
     part.replace(path)

@@ -36,6 +36,7 @@ class TrialResult:
     review: dict[str, int] | None = None
     traceback: str | None = None
 
+
 def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
     """Put the tables together from the trials' own files and write run.json. Returns the run's exit code."""
     out.mkdir(parents=True, exist_ok=True)
@@ -43,12 +44,18 @@ def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
     rows = [r.row for r in done if r.row is not None]
     write_table(out / "trials.parquet", arrow_table(TRIALS, rows))
     timings = [pq.read_table(out / "trials" / f"{file_name(r.id)}.timings.parquet") for r in done]
-    write_table(out / "timings.parquet", pa.concat_tables(timings) if timings else arrow_table(TIMINGS, []))
+    write_table(
+        out / "timings.parquet", pa.concat_tables(timings) if timings else arrow_table(TIMINGS, [])
+    )
     lines = []
     for r in sorted(results, key=lambda r: r.id):
-        lines += [json.dumps({"trial": r.id, "exit_code": r.exit_code, "message": m}) for m in r.messages]
+        lines += [
+            json.dumps({"trial": r.id, "exit_code": r.exit_code, "message": m}) for m in r.messages
+        ]
         if r.traceback is not None:
-            lines.append(json.dumps({"trial": r.id, "exit_code": r.exit_code, "traceback": r.traceback}))
+            lines.append(
+                json.dumps({"trial": r.id, "exit_code": r.exit_code, "traceback": r.traceback})
+            )
     write_atomically(out / "log.jsonl", "".join(line + "\n" for line in lines))
     about = {
         "schema_version": SCHEMA_VERSION,
@@ -60,6 +67,7 @@ def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
     }
     write_atomically(out / "run.json", json.dumps(about, indent=1, sort_keys=True))
     return exit_code_of(results)
+
 
 def exit_code_of(results: list[TrialResult]) -> int:
     """0 if all is well; 4 for an internal error; 2 if nothing could be read; 3 if something was lost, the rest done."""

@@ -40,5 +40,7 @@ def read_run(folder: Path) -> Run:
         timings = pd.read_parquet(folder / "timings.parquet")
     except (OSError, ValueError) as error:
         hint = "run `dgeval replay … --out` first, or again if it was interrupted"
-        raise UsageError(f"not a finished run ({type(error).__name__})", Place(str(folder)), hint) from error
+        raise UsageError(
+            f"not a finished run ({type(error).__name__})", Place(str(folder)), hint
+        ) from error
     return Run(folder, about, trials, timings)

@@ -46,14 +46,12 @@ MAX_RECENT = 400  # images kept to draw the decisive moment on, as they were com
 ReviewFactory = Callable[[Path, Trial, Config], Any]
 
 
-
-
-
-
 def resume_key(spec: TrialSpec, config: Config, sha256: str) -> str:
     """What a trial's result depends on. The recording's place and name are not part of it; its content is."""
     about = {k: v for k, v in asdict(spec).items() if k != "recording"}
-    text = json.dumps([__version__, SCHEMA_VERSION, config.model_dump(mode="json"), about, sha256], sort_keys=True)
+    text = json.dumps(
+        [__version__, SCHEMA_VERSION, config.model_dump(mode="json"), about, sha256], sort_keys=True
+    )
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -77,8 +75,12 @@ def replay_trial(
     except Exception as error:  # the boundary of a trial: one must not take the others down
         last = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(last.filename).name}:{last.lineno}"
-        what = f"internal error: {describe(error)} at {where}; the traceback is in the run's log.jsonl"
-        return TrialResult(spec.id, None, EXIT_INTERNAL, [what], None, traceback=traceback.format_exc())
+        what = (
+            f"internal error: {describe(error)} at {where}; the traceback is in the run's log.jsonl"
+        )
+        return TrialResult(
+            spec.id, None, EXIT_INTERNAL, [what], None, traceback=traceback.format_exc()
+        )
 
 
 def _replay_trial(
@@ -96,12 +98,22 @@ def _replay_trial(
     if not force:
         kept = _committed(mark, key, out, name, review is not None)
         if kept is not None:
-            return TrialResult(spec.id, kept["row"], kept["exit_code"], kept["messages"], trial.sha256, True, kept["review"])
+            return TrialResult(
+                spec.id,
+                kept["row"],
+                kept["exit_code"],
+                kept["messages"],
+                trial.sha256,
+                True,
+                kept["review"],
+            )
     mark.unlink(missing_ok=True)
     for folder in ("frames", "models", "review", "trials"):
         (out / folder).mkdir(parents=True, exist_ok=True)
 
-    view = review(out / "review" / f"{name}.rrd.part", trial, config) if review is not None else None
+    view = (
+        review(out / "review" / f"{name}.rrd.part", trial, config) if review is not None else None
+    )
     digests = StageDigests()
     counts = dict.fromkeys(("frames", "lost", "predicted", "no_depth"), 0)
     t_execute_ns = None
@@ -110,7 +122,9 @@ def _replay_trial(
     perception = Perception(config)
     seen: list[Seen] = []
     surface = Surface()
-    recent: deque[tuple[int, Array | None, bytes]] = deque(maxlen=MAX_RECENT)  # for the picture of the decisive moment
+    recent: deque[tuple[int, Array | None, bytes]] = deque(
+        maxlen=MAX_RECENT
+    )  # for the picture of the decisive moment
     frames_path = out / "frames" / f"{name}.parquet"
     timings_path = out / "trials" / f"{name}.timings.parquet"
     with (
@@ -121,11 +135,20 @@ def _replay_trial(
             digests.add(step.row)
             frames_table.add(step.row)
             for stage, seconds in step.seconds.items():
-                timings_table.add({"trial": spec.id, "frame": step.frame.index, "stage": stage, "seconds": seconds})
+                timings_table.add(
+                    {
+                        "trial": spec.id,
+                        "frame": step.frame.index,
+                        "stage": stage,
+                        "seconds": seconds,
+                    }
+                )
             counts["frames"] += 1
             counts["lost"] += step.row["tracking"] == "lost"
             counts["predicted"] += bool(step.row.get("predicted"))
-            counts["no_depth"] += step.row["tracking"] == "tracked" and step.row.get("n_observed") is None
+            counts["no_depth"] += (
+                step.row["tracking"] == "tracked" and step.row.get("n_observed") is None
+            )
             if t_execute_ns is None and step.row.get("execute"):
                 t_execute_ns = step.frame.t_ns
             model = step.model if step.model is not None else model
@@ -144,13 +167,25 @@ def _replay_trial(
         hindsight = look_back(trial, seen, surface, perception, config)
         looked = time.perf_counter()
         judgement = judge(trial, hindsight, config)
-        for stage, seconds in (("hindsight", looked - begun), ("verdict", time.perf_counter() - looked)):
-            timings_table.add({"trial": spec.id, "frame": counts["frames"], "stage": stage, "seconds": seconds})
-    sizes = view.close(out / "review" / f"{name}.rrd", hindsight, judgement) if view is not None else None
+        for stage, seconds in (
+            ("hindsight", looked - begun),
+            ("verdict", time.perf_counter() - looked),
+        ):
+            timings_table.add(
+                {"trial": spec.id, "frame": counts["frames"], "stage": stage, "seconds": seconds}
+            )
+    sizes = (
+        view.close(out / "review" / f"{name}.rrd", hindsight, judgement)
+        if view is not None
+        else None
+    )
     if hindsight is not None:
         _write_picture(out / "pictures" / f"{name}.jpg", recent, judgement, hindsight, trial)
         (out / "hindsight").mkdir(exist_ok=True)
-        write_table(out / "hindsight" / f"{name}.parquet", arrow_table(HINDSIGHT, _hindsight_rows(hindsight)))
+        write_table(
+            out / "hindsight" / f"{name}.parquet",
+            arrow_table(HINDSIGHT, _hindsight_rows(hindsight)),
+        )
     if model is not None:
         write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
@@ -158,13 +193,21 @@ def _replay_trial(
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
     write_atomically(
         mark,
-        json.dumps({"key": key, "row": row, "exit_code": exit_code, "messages": messages, "review": sizes}, indent=1),
+        json.dumps(
+            {"key": key, "row": row, "exit_code": exit_code, "messages": messages, "review": sizes},
+            indent=1,
+        ),
     )
     return TrialResult(spec.id, row, exit_code, messages, trial.sha256, review=sizes)
 
 
 def _trial_row(
-    trial: Trial, config: Config, counts: dict[str, int], t_execute_ns: int | None, last_ns: int, judgement: Judgement
+    trial: Trial,
+    config: Config,
+    counts: dict[str, int],
+    t_execute_ns: int | None,
+    last_ns: int,
+    judgement: Judgement,
 ) -> tuple[dict[str, Any], int, list[str]]:
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
@@ -173,11 +216,19 @@ def _trial_row(
     seen = unmatched + len(trial.pairs)
     if unmatched and unmatched / seen > config.sync.max_unmatched_share:
         exit_code = EXIT_DATA_LOST
-        messages.append(f"{unmatched} of {seen} colour images have no depth image near enough in time")
-    self_filter = "geometry" if trial.robot.hand_links else ("mask" if trial.static_mask is not None else "none")
+        messages.append(
+            f"{unmatched} of {seen} colour images have no depth image near enough in time"
+        )
+    self_filter = (
+        "geometry"
+        if trial.robot.hand_links
+        else ("mask" if trial.static_mask is not None else "none")
+    )
     notes = list(trial.notes)
     if counts["no_depth"]:
-        notes.append(f"no usable depth on the target in {counts['no_depth']} of {counts['frames']} frames: followed in colour")
+        notes.append(
+            f"no usable depth on the target in {counts['no_depth']} of {counts['frames']} frames: followed in colour"
+        )
     if unmatched or trial.n_unmatched_depth:
         notes.append(f"unmatched images: {unmatched} colour, {trial.n_unmatched_depth} depth")
     if trial.n_undecodable_frames:
@@ -194,10 +245,15 @@ def _trial_row(
     elif source == "ffhnet":
         from dgeval.networks.checkpoints import published
 
-        given = [Path(f) for f in (config.grasps.generator, config.grasps.evaluator) if f is not None]
+        given = [
+            Path(f) for f in (config.grasps.generator, config.grasps.evaluator) if f is not None
+        ]
         names = [published(path) or f"weights {path.name}" for path in given]
         notes += config.beyond_the_paper()
-        notes.append("grasps by FFHNet with " + ", ".join(names if len(names) == 2 else [*names, "dgeval's own weights"]))
+        notes.append(
+            "grasps by FFHNet with "
+            + ", ".join(names if len(names) == 2 else [*names, "dgeval's own weights"])
+        )
     row: dict[str, Any] = {
         "trial": spec.id,
         "recording": spec.recording.name,
@@ -223,8 +279,6 @@ def _trial_row(
     return row, exit_code, messages
 
 
-
-
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:
     return [
         {
@@ -239,14 +293,26 @@ def _as_jpeg(step: Step) -> bytes:
     """The colour image as recorded if that was compressed, else as JPEG: small enough to keep some hundred of them."""
     if step.frame.colour_file is not None:
         return step.frame.colour_file
-    return cv2.imencode(".jpg", step.frame.colour[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+    return cv2.imencode(".jpg", step.frame.colour[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[
+        1
+    ].tobytes()
 
 
 def _write_picture(
-    path: Path, recent: deque[tuple[int, Array | None, bytes]], judgement: Judgement, hindsight: Hindsight, trial: Trial
+    path: Path,
+    recent: deque[tuple[int, Array | None, bytes]],
+    judgement: Judgement,
+    hindsight: Hindsight,
+    trial: Trial,
 ) -> None:
     """The frame nearest to the decisive moment (the last one without such a moment), drawn over."""
-    wanted = judgement.decisive_ns if judgement.decisive_ns is not None else recent[-1][0] if recent else 0
+    wanted = (
+        judgement.decisive_ns
+        if judgement.decisive_ns is not None
+        else recent[-1][0]
+        if recent
+        else 0
+    )
     usable = [r for r in recent if r[1] is not None]
     if not usable:
         return
@@ -255,15 +321,13 @@ def _write_picture(
     assert T_base_camera is not None
     said = judgement.columns.get("failure_class") or judgement.columns["outcome"]
     title = f"{trial.spec.id}  {(t_ns - trial.pairs[0][0]) * 1e-9:.2f} s  {said}"
-    drawn = decisive_picture(np.asarray(image, dtype=np.uint8), t_ns, T_base_camera, trial.camera, hindsight, title)
+    drawn = decisive_picture(
+        np.asarray(image, dtype=np.uint8), t_ns, T_base_camera, trial.camera, hindsight, title
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_bytes(cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 82])[1].tobytes())
     part.replace(path)
-
-
-
-
 
 
 def _committed(mark: Path, key: str, out: Path, name: str, review: bool) -> dict[str, Any] | None:
@@ -276,11 +340,3 @@ def _committed(mark: Path, key: str, out: Path, name: str, review: bool) -> dict
     if review:
         wanted.append(out / "review" / f"{name}.rrd")
     return kept if kept.get("key") == key and all(p.is_file() for p in wanted) else None
-
-
-
-
-
-
-
-

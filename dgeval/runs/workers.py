@@ -34,14 +34,20 @@ def replay_trials(
             on_result(results[spec.id])
         return [results[s.id] for s in specs]
     set_thread_variables()
-    with ProcessPoolExecutor(min(jobs, len(specs)), mp_context=multiprocessing.get_context("spawn")) as pool:
-        waiting = {pool.submit(replay_trial, spec, config, out, review, force): spec for spec in specs}
+    with ProcessPoolExecutor(
+        min(jobs, len(specs)), mp_context=multiprocessing.get_context("spawn")
+    ) as pool:
+        waiting = {
+            pool.submit(replay_trial, spec, config, out, review, force): spec for spec in specs
+        }
         for future in as_completed(waiting):
             spec = waiting[future]
             try:
                 result = future.result()
             except BrokenProcessPool:
-                result = TrialResult(spec.id, None, EXIT_INTERNAL, ["the worker process died (out of memory?)"], None)
+                result = TrialResult(
+                    spec.id, None, EXIT_INTERNAL, ["the worker process died (out of memory?)"], None
+                )
             results[spec.id] = result
             on_result(result)
     return [results[s.id] for s in specs]

@@ -1,0 +1,449 @@
+"""How a trial ended, from an operator's label, fingers and sightings, each just under and just
+over its line.
+
+Catches: a label that loses against the log, a log that ends at the close and is judged all the
+same, efforts of one finger or of a moment taken for a grip, jaws that meet taken for held,
+sightings that jump about believed, and a contradiction decided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from dgeval.geometry import Array
+from dgeval.hindsight.smoothing import Sighting
+from dgeval.perception.plane import Plane
+from dgeval.recording.messages import Event, JointSample
+from dgeval.verdict.outcome import Ended, outcome_of
+
+OUTCOME = "dgeval.verdict.outcome"
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND
+CLOSE = START + 2 * SECOND
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+FLEXION = tuple(f"{finger}_{k}" for finger in FINGERS for k in (1, 2))
+JAWS = ("left_jaw", "right_jaw")
+
+
+def at(seconds: float) -> int:
+    """Time of the log, ns, from seconds after the close."""
+    return CLOSE + round(seconds * SECOND)
+
+
+def trial(
+    events: Sequence[Event] = (),
+    joints: Sequence[JointSample] = (),
+    last_s: float = 4.0,
+    closed: bool = True,
+    label: str | None = None,
+    end_s: float | None = None,
+    damage: Sequence[str] = (),
+    poses: dict[str, list[object]] | None = None,
+    hand_joints: str | None = "/joints",
+) -> Any:
+    """A trial whose last frame is `last_s` after the close; the log of the joints is as given."""
+    every = [*events, *([Event(CLOSE, "close", {})] if closed else [])]
+    return SimpleNamespace(
+        spec=SimpleNamespace(label=label, end_ns=None if end_s is None else at(end_s)),
+        events=every,
+        event_ns=lambda kind: next((e.t_ns for e in every if e.kind == kind), None),
+        damage=list(damage),
+        pairs=[(START, 0, 0), (at(last_s), 1, 1)],
+        scan=SimpleNamespace(poses=poses or {}, joints={"/joints": list(joints)}),
+        roles=SimpleNamespace(hand_joints=hand_joints),
+    )
+
+
+def efforts(*by_finger: float, last_s: float = 4.0, n: int = 20) -> list[JointSample]:
+    """Samples every 20 ms up to the end; each finger presses with its second flexion joint, Nm."""
+    values = dict.fromkeys(FLEXION, 0.0) | {
+        f"{f}_2": e for f, e in zip(FINGERS, by_finger, strict=False)
+    }
+    return [
+        JointSample(at(last_s - 0.02 * k), dict.fromkeys(values, 0.5), values)
+        for k in reversed(range(n))
+    ]
+
+
+def jaws(left_m: float, right_m: float, last_s: float = 4.0, n: int = 20) -> list[JointSample]:
+    positions = dict(zip(JAWS, (left_m, right_m), strict=True))
+    return [JointSample(at(last_s - 0.02 * k), positions) for k in reversed(range(n))]
+
+
+EMPTY, GRIP = efforts(0.01, -0.01, 0.0, 0.0, 0.0), efforts(0.30, -0.20, 0.0, 0.0, 0.0)
+EMPTY_SAYS = "the fingers hold nothing at the end (0.01, 0.01, 0.00, 0.00, 0.00 Nm)"
+GRIP_SAYS = "2 fingers still press at the end (0.30, 0.20, 0.00, 0.00, 0.00 Nm)"
+NOTHING_SAID = Ended(
+    "unknown", None, "neither efforts nor a sighting after the lift say how it ended"
+)
+
+# labels
+
+
+@pytest.mark.parametrize("label", ["success", "failure"])
+@pytest.mark.parametrize("joints", [EMPTY, GRIP])
+def test_an_operators_label_wins(label: str, joints: list[JointSample]) -> None:
+    """Catches a log that overrules the operator, and a label read the other way round."""
+    told = Ended(label, "label", "an operator's label says so")  # type: ignore[arg-type]
+    assert outcome_of(trial(joints=joints, label=label), None) == told
+    event = Event(at(3.0), "label", {"label": label})
+    assert outcome_of(trial([event], joints), None) == told
+    assert outcome_of(trial(closed=False, label=label, damage=["torn"]), None) == told, (
+        "without a close too"
+    )
+
+
+def test_the_manifests_label_goes_before_the_logs() -> None:
+    """Catches a correction in the manifest that has no effect."""
+    event = Event(at(3.0), "label", {"label": "failure"})
+    assert outcome_of(trial([event], label="success"), None).outcome == "success"
+
+
+def test_the_first_label_of_the_log_counts() -> None:
+    """Catches the last of several labels taken."""
+    events = [
+        Event(at(k), "label", {"label": label}) for k, label in ((3, "failure"), (4, "success"))
+    ]
+    assert outcome_of(trial(events), None).outcome == "failure"
+
+
+@pytest.mark.parametrize("label", [None, "maybe", 1])
+def test_a_label_that_says_neither_is_passed_over(label: object) -> None:
+    """Catches any label but "success" taken for a failure."""
+    event = Event(at(3.0), "label", {} if label is None else {"label": label})
+    assert outcome_of(trial([event], GRIP), None).source == "inferred"
+
+
+# without a close
+
+GRASP: dict[str, list[object]] = {"/dgeval/belief/grasp": [1]}
+END = Event(at(4.0), "trial_end", {})
+
+
+def test_no_close() -> None:
+    """Catches a trial without an attempt called a failure."""
+    none = Ended("no_grasp", "inferred", "the log has no close command")
+    assert outcome_of(trial(closed=False), None) == none
+    assert outcome_of(trial(closed=False, poses=GRASP), None) == none, "the trial went on"
+    assert outcome_of(trial([END], closed=False), None) == none, "nobody chose a grasp"
+    assert outcome_of(trial([END], closed=False, poses={"/dgeval/belief/grasp": []}), None) == none
+
+
+def test_an_attempt_that_ran_out_is_a_failure() -> None:
+    """Catches an own attempt without a close that is lost to the failures, or with a chance of
+    success.
+    """
+    told = Ended(
+        "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
+    )
+    assert outcome_of(trial([END], closed=False, poses=GRASP), None) == told
+
+
+def test_damage_goes_before_what_is_missing() -> None:
+    """Catches a close that can't be read taken for one that never came."""
+    told = Ended(
+        "incomplete", None, "the recording is damaged and what can be read of it has no close"
+    )
+    assert outcome_of(trial([END], closed=False, poses=GRASP, damage=["torn"]), None) == told
+    assert outcome_of(trial(closed=False, damage=["torn"]), None) == told
+    assert outcome_of(trial(joints=EMPTY, damage=["torn"]), None).outcome == "failure", (
+        "the close was read"
+    )
+
+
+# the end of the log
+
+
+@pytest.mark.parametrize(
+    ("last_s", "told"), [(0.0, "0.0"), (0.64, "0.6"), (0.99, "1.0"), (-0.5, "0.0")]
+)
+def test_a_log_that_ends_at_the_close_says_nothing(last_s: float, told: str) -> None:
+    """Catches fingers judged while they close, and a negative time told."""
+    found = outcome_of(trial(joints=efforts(0.3, 0.3, last_s=last_s), last_s=last_s), None)
+    assert found == Ended("unknown", None, f"the log ends {told} s after the close")
+
+
+def test_from_one_second_on_the_fingers_are_at_rest() -> None:
+    """Catches `<=` for `<`."""
+    joints = efforts(0.3, 0.2, last_s=1.0)
+    assert outcome_of(trial(joints=joints, last_s=1.0), None).outcome == "success"
+
+
+def test_joints_that_outlast_the_frames_count_up_to_the_trials_end() -> None:
+    """Catches joints of the next trial, and a log judged by its last frame alone."""
+    joints = [*efforts(0.0, 0.0, last_s=2.0), *efforts(0.3, 0.2, last_s=3.0)]
+    frames_end = trial(joints=joints, last_s=0.2, end_s=3.0)
+    assert outcome_of(frames_end, None).evidence == GRIP_SAYS
+    assert outcome_of(trial(joints=joints, last_s=0.2, end_s=2.5), None).outcome == "failure"
+    ended = Ended("unknown", None, "the log ends 0.2 s after the close")
+    assert outcome_of(trial(joints=joints, last_s=0.2, end_s=0.9), None) == ended
+    assert outcome_of(trial(joints=joints, last_s=0.2), None) == ended
+
+
+# fingers
+
+
+def test_fingers_that_press() -> None:
+    """Catches a sign of effort that matters, confidence of a failure for one of a success, fingers
+    listed out of order.
+    """
+    assert outcome_of(trial(joints=GRIP), None) == Ended("success", "inferred", GRIP_SAYS, 0.97)
+    found = outcome_of(trial(joints=EMPTY), None)
+    assert (found.outcome, found.source, found.evidence) == ("failure", "inferred", EMPTY_SAYS)
+    assert found.p_success == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("by_finger", "held"),
+    [
+        ((0.051, 0.051, 0, 0, 0), True),
+        ((0.051, 0.049, 0, 0, 0), False),
+        ((0.9, 0.0, 0, 0, 0), False),  # one finger alone holds nothing
+        ((0.0, 0.0, 0.0, 0.06, 0.06), True),
+    ],
+)
+def test_two_fingers_with_more_than_0_05_nm_hold(by_finger: tuple[float, ...], held: bool) -> None:
+    """Catches another line, and one finger taken for a grip."""
+    assert outcome_of(trial(joints=efforts(*by_finger)), None).outcome == (
+        "success" if held else "failure"
+    )
+
+
+def test_both_flexion_joints_of_a_finger_are_looked_at() -> None:
+    """Catches joints paired across fingers: two joints of one finger are one finger."""
+    values = dict.fromkeys(FLEXION, 0.0) | {"index_1": 0.2, "index_2": 0.2}
+    one = [JointSample(at(4 - 0.02 * k), {}, values) for k in reversed(range(20))]
+    assert outcome_of(trial(joints=one), None).outcome == "failure"
+    values = dict.fromkeys(FLEXION, 0.0) | {"index_1": 0.2, "middle_1": 0.2}
+    two = [JointSample(at(4 - 0.02 * k), {}, values) for k in reversed(range(20))]
+    assert outcome_of(trial(joints=two), None).outcome == "success"
+
+
+def test_efforts_of_abduction_are_not_a_grip() -> None:
+    """Catches fingers that are spread apart taken for ones that press."""
+    spread = dict.fromkeys(FLEXION, 0.0) | {f"{f}_0": 0.5 for f in FINGERS}
+    joints = [JointSample(at(4 - 0.02 * k), {}, spread) for k in reversed(range(20))]
+    assert outcome_of(trial(joints=joints), None).outcome == "failure"
+
+
+def test_efforts_are_judged_by_their_mean_over_the_last_half_second() -> None:
+    """Catches lengths averaged instead of efforts, and efforts of the lift that are long gone."""
+    swinging = [
+        s
+        for k in range(10)
+        for s in efforts(0.3 * (-1) ** k, 0.3 * (-1) ** k, last_s=4 - 0.02 * k, n=1)
+    ][::-1]
+    assert outcome_of(trial(joints=swinging), None).outcome == "failure"
+    dropped = [*efforts(0.3, 0.3, last_s=3.4, n=50), *efforts(0.0, 0.0, last_s=4.0, n=25)]
+    assert outcome_of(trial(joints=dropped), None).outcome == "failure"
+
+
+@pytest.mark.parametrize(("n", "said"), [(4, False), (5, True)])
+def test_fewer_than_five_samples_say_nothing(n: int, said: bool) -> None:
+    """Catches a single sample believed."""
+    found = outcome_of(trial(joints=efforts(0.3, 0.3, n=n)), None)
+    assert found == NOTHING_SAID if not said else found.outcome == "success"
+
+
+def test_samples_without_efforts_say_nothing() -> None:
+    """Catches missing efforts taken for 0, in all joints or in one."""
+    silent = [JointSample(s.t_ns, s.positions) for s in GRIP]
+    assert outcome_of(trial(joints=silent), None) == NOTHING_SAID
+    partly = [
+        JointSample(s.t_ns, s.positions, {n: e for n, e in s.efforts.items() if n != "ring_1"})
+        for s in GRIP
+    ]
+    assert outcome_of(trial(joints=partly), None) == NOTHING_SAID
+    assert outcome_of(trial(), None) == NOTHING_SAID
+    assert outcome_of(trial(joints=GRIP, hand_joints=None), None) == NOTHING_SAID, (
+        "no topic has that role"
+    )
+
+
+# jaws
+
+
+@pytest.mark.parametrize(
+    ("left_m", "right_m", "held", "said"),
+    [
+        (0.0011, 0.0010, True, "the jaws are 2 mm apart at the end"),
+        (0.0010, 0.0009, False, "the jaws are 2 mm apart at the end: they hold nothing"),
+        (0.020, 0.015, True, "the jaws are 35 mm apart at the end"),
+        (0.0, 0.0, False, "the jaws are 0 mm apart at the end: they hold nothing"),
+    ],
+)
+def test_jaws_hold_what_keeps_them_2_mm_apart(
+    left_m: float, right_m: float, held: bool, said: str
+) -> None:
+    """Catches one jaw's position taken for their distance, and the line for one of them."""
+    found = outcome_of(trial(joints=jaws(left_m, right_m)), None)
+    assert (found.outcome, found.evidence) == ("success" if held else "failure", said)
+    assert found.p_success == pytest.approx(0.97 if held else 0.03)
+
+
+def test_jaws_are_judged_by_their_median() -> None:
+    """Catches a single sample of a bouncing jaw, as the last is here, believed."""
+    joints = [*jaws(0.0, 0.0, last_s=3.98), *jaws(0.04, 0.04, n=1)]
+    assert outcome_of(trial(joints=joints), None).outcome == "failure"
+
+
+def test_one_jaw_alone_says_nothing() -> None:
+    """Catches a missing joint taken for one at 0."""
+    joints = [JointSample(s.t_ns, {"left_jaw": 0.02}) for s in jaws(0.02, 0.02)]
+    assert outcome_of(trial(joints=joints), None) == NOTHING_SAID
+
+
+# sightings: the support is z = 0, and at the close the object's middle is at rest at z = 0.06
+
+CENTRE = np.array([0.0, 0.0, 0.01])
+Seen = Callable[..., Any]
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
+    """Hindsight with sightings every 0.1 s at these heights above where it rested, m; the hand is
+    so far from the last.
+    """
+
+    def made(
+        rises: Sequence[float],
+        hand_m: float | None = 0.5,
+        first_s: float = 2.0,
+        by: str = "registration",
+        support: bool = True,
+    ) -> Any:
+        T_rest = np.eye(4)
+        T_rest[2, 3] = 0.05
+        sightings = []
+        for k, rise in enumerate(rises):
+            T = T_rest.copy()
+            T[:3, 3] += [0.3, 0.0, rise]
+            sightings.append(Sighting(at(first_s + 0.1 * k), T, by, True))  # type: ignore[arg-type]
+
+        def hand_distance(_: object, t_ns: int, points: Array) -> tuple[float, str] | None:
+            assert t_ns == sightings[-1].t_ns
+            np.testing.assert_allclose(points, [[0.3, 0.0, 0.06 + rises[-1]]], atol=1e-12)
+            return None if hand_m is None else (hand_m, "index_3")
+
+        monkeypatch.setattr(f"{OUTCOME}.hand_distance", hand_distance)
+        plane = Plane(np.array([0.0, 0.0, 1.0]), 0.0, 1.0) if support else None
+        path = SimpleNamespace(
+            centroid=CENTRE, at=lambda t_ns: T_rest if t_ns == CLOSE else np.full((4, 4), np.nan)
+        )
+        return SimpleNamespace(support=plane, sightings=tuple(sightings), path=path)
+
+    return made
+
+
+LEFT = "the object is seen left on its support 2.2 s after the close"
+
+
+@pytest.mark.parametrize(
+    ("rise_m", "said"), [(0.0, True), (0.049, True), (0.0501, False), (-0.06, True)]
+)
+def test_an_object_left_on_its_support(seen: Seen, rise_m: float, said: bool) -> None:
+    """Catches another line, and an object that fell lower than it stood."""
+    found = outcome_of(trial(), seen([rise_m] * 3, 0.5))
+    if not said:
+        assert found == NOTHING_SAID
+        return
+    assert (found.outcome, found.source, found.evidence) == ("failure", "inferred", LEFT)
+    assert found.p_success == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("hand_m", "said"), [(0.0399, False), (0.0401, True), (None, True)])
+def test_an_object_low_in_the_hand_is_not_left_behind(
+    seen: Seen, hand_m: float | None, said: bool
+) -> None:
+    """Catches a hand that did not rise taken for one that left the object."""
+    assert outcome_of(trial(), seen([0.0] * 3, hand_m)).outcome == (
+        "failure" if said else "unknown"
+    )
+
+
+@pytest.mark.parametrize(("hand_m", "said"), [(0.0999, True), (0.1001, False), (None, True)])
+def test_an_object_up_with_the_hand(seen: Seen, hand_m: float | None, said: bool) -> None:
+    """Catches something else high up, away from the hand, taken for the object."""
+    found = outcome_of(trial(), seen([0.18] * 3, hand_m))
+    if not said:
+        assert found == NOTHING_SAID
+        return
+    told = "the object is seen 18 cm up, 2.2 s after the close"
+    assert found == Ended("success", "inferred", told, 0.9)
+
+
+def test_how_high_it_is_follows_the_median(seen: Seen) -> None:
+    """Catches a mean that one wrong sighting moves across the line."""
+    found = outcome_of(trial(), seen([0.0, 0.0, 0.0, 0.0, 0.5], 0.5))
+    assert found.outcome == "failure"
+
+
+@pytest.mark.parametrize(
+    ("rises", "said"),
+    [
+        ([0.0, 0.0, 0.3, 0.0, 0.3], True),  # two of five elsewhere
+        ([0.0, 0.185, 0.19, 0.2, 0.21, 0.215, 0.4], True),  # half are within 15 mm of 0.20
+        ([0.0, 0.175, 0.175, 0.2, 0.225, 0.225, 0.4], False),  # half are 25 mm off it
+        ([0.0, 0.3, 0.1, 0.2, 0.4, 0.05], False),
+    ],
+)
+def test_unsteady_heights_say_nothing(seen: Seen, rises: list[float], said: bool) -> None:
+    """Catches something else in every frame believed, and a spread that outliers make."""
+    hand_m = 0.05
+    assert (outcome_of(trial(), seen(rises, hand_m)) != NOTHING_SAID) == said
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"rises": [0.0] * 2},  # too few
+        {
+            "rises": [0.0] * 3,
+            "first_s": 1.5,
+        },  # two of them late enough: the lift has not ended at 1.5 s
+        {"rises": [0.0] * 3, "by": "colour"},
+        {"rises": [0.0] * 3, "by": "depth"},
+        {"rises": [0.0] * 3, "support": False},
+    ],
+)
+def test_sightings_that_do_not_count(seen: Seen, given: dict[str, Any]) -> None:
+    """Catches colour alone believed, sightings during the lift, and heights over no support."""
+    assert outcome_of(trial(), seen(**given)) == NOTHING_SAID
+
+
+def test_three_late_sightings_count(seen: Seen) -> None:
+    """Catches `>=` and `>` mixed up in the number or the time."""
+    assert outcome_of(trial(), seen([0.0] * 3, first_s=1.51)).outcome == "failure"
+    assert outcome_of(trial(), seen([0.0] * 4, first_s=1.5)).outcome == "failure"
+
+
+# both
+
+
+UP = "the object is seen 18 cm up, 2.2 s after the close"
+
+
+@pytest.mark.parametrize(
+    ("joints", "rise_m", "hand_m", "expected"),
+    [
+        (GRIP, 0.18, 0.02, Ended("success", "inferred", f"{GRIP_SAYS} and {UP}", 0.99)),
+        (EMPTY, 0.0, 0.5, Ended("failure", "inferred", f"{EMPTY_SAYS} and {LEFT}", 0.01)),
+        (GRIP, 0.0, 0.02, Ended("success", "inferred", GRIP_SAYS, 0.97)),  # no sighting counts
+        (GRIP, 0.0, 0.5, Ended("unknown", None, f"{GRIP_SAYS}, but {LEFT}")),
+        (EMPTY, 0.18, 0.02, Ended("unknown", None, f"{EMPTY_SAYS}, but {UP}")),
+    ],
+)
+def test_fingers_and_sightings_together(
+    seen: Seen, joints: list[JointSample], rise_m: float, hand_m: float, expected: Ended
+) -> None:
+    """Catches a contradiction decided for one side, and confidence of one source where there are
+    two.
+    """
+    found = outcome_of(trial(joints=joints), seen([rise_m] * 3, hand_m))
+    assert found.p_success == pytest.approx(expected.p_success)
+    assert replace(found, p_success=expected.p_success) == expected

@@ -1,0 +1,489 @@
+"""The row and the sentence of a verdict, word for word, for every class and sub-cause.
+
+Catches: times from the recording's start instead of the trial's, "earlier" and "later" swapped, a
+percentage of another class, a sentence of another sub-cause, a link that is not the one most
+draws name, columns of another trial's class, a decisive moment at which nothing happened, and a
+reason that gets lost between the instrument and the row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from dgeval.config import load_config
+from dgeval.failure_rule import Facts, FailureClass, SubCause, Verdict
+from dgeval.verdict.beliefs import Beliefs
+from dgeval.verdict.blame import Blame
+from dgeval.verdict.decide import CLASSES, Cause
+from dgeval.verdict.judge import VERDICT_COLUMNS, Judgement, judge
+from dgeval.verdict.outcome import Ended
+from dgeval.verdict.sentence import sentence
+from dgeval.verdict.twin import Sample
+
+JUDGE = "dgeval.verdict.judge"
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND  # of the trial's first frame; sentences count from here
+CLOSE = START + 2_500_000_000
+LAST = START + 4 * SECOND  # of the trial's last frame
+LEFT = Ended(
+    "failure", "inferred", "the object is seen left on its support 1.6 s after the close", 0.1
+)
+RAN_OUT = Ended(
+    "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
+)
+CLOSED = "the hand closed at 2.50 s, the object is seen left on its support 1.6 s after the close"
+NEVER = "the hand never closed, a grasp was chosen and the trial ended without a close"
+CURVE = ((-0.99, False), (-0.03, False), (0.6, False))
+
+
+def trial(close_ns: int | None = CLOSE) -> Any:
+    """From 0 to 4 s, closed at 2.5 s unless said otherwise."""
+    events = {"close": close_ns, "trial_start": START - SECOND}
+    return SimpleNamespace(
+        pairs=[(START, 0, 0), (START + 2 * SECOND, 1, 1), (LAST, 2, 2)], event_ns=events.get
+    )
+
+
+def hindsight(**changed: object) -> Any:
+    values: dict[str, object] = {
+        "gap_s": 0.4, "gap_sided": "two", "notes": ("a note of hindsight",),
+        "contact_link": "palm", "contact_ns": None, "pushed_ns": None,
+        "path": SimpleNamespace(velocity=np.array([[9.0, 9.0, 9.0], [0.06, 0.08, 0.0]])),
+    }  # fmt: skip
+    return SimpleNamespace(**{**values, **changed})
+
+
+def draw(
+    failure_class: FailureClass, sub_cause: SubCause, link: str | None = None, **facts: object
+) -> Sample:
+    values: dict[str, object] = {
+        "closed": True, "displacement_m": 0.0, "displacement_deg": 0.0,
+        "curve": CURVE, "contact_s": None, "height_m": 0.0,
+    }  # fmt: skip
+    known = Facts(**{**values, **facts})  # type: ignore[arg-type]
+    return Sample(Verdict(failure_class, sub_cause), known, True, 1.0, {}, None, link)
+
+
+def cause(*samples: Sample, p: float = 0.87, shift_s: float | None = None) -> Cause:
+    """A cause of the first sample's class and sub-cause with this probability."""
+    verdict = samples[0].verdict
+    chances = [p if c == verdict.failure_class else (1 - p) / 2 for c in CLASSES]
+    probabilities = (chances[0], chances[1], chances[2], 0.0)
+    return Cause(
+        verdict.failure_class, probabilities, verdict.sub_cause, shift_s, samples, 0.75, "twin"
+    )
+
+
+UNKNOWN = Cause(
+    "unknown",
+    (0.1, 0.3, 0.1, 0.5),
+    None,
+    None,
+    (draw("collision", "displaced"),),
+    0.04,
+    "twin",
+    "it is not known",
+)
+
+# the sentence
+
+
+@pytest.mark.parametrize(
+    ("seen", "link", "expected"),
+    [
+        (
+            {"pushed_ns": START + 2_104_000_000, "contact_ns": START + SECOND},
+            "thumb_2",
+            "thumb_2 pushed the object at 2.10 s",
+        ),
+        ({"contact_ns": START + 1_890_000_000}, "index_3", "index_3 pushed the object at 1.89 s"),
+        ({"pushed_ns": START + 2_104_000_000}, None, "the hand pushed the object at 2.10 s"),
+        ({}, None, "the hand pushed the object"),
+    ],
+)
+def test_collision(seen: dict[str, int], link: str | None, expected: str) -> None:
+    """Catches the first contact named where the push was seen, and radians or metres for the
+    displacement.
+    """
+    pushed = cause(draw("collision", "displaced", displacement_m=0.0234, displacement_deg=11.6))
+    assert sentence(trial(), hindsight(**seen), LEFT, pushed, link) == (
+        f"{CLOSED}: collision (87%). "
+        f"{expected}; it was 23 mm and 12 degrees off its path by the close, "
+        "and on its path it could be lifted"
+    )
+
+
+@pytest.mark.parametrize(
+    ("sub_cause", "shift_s", "expected"),
+    [
+        ("early", 0.24, "closed 0.24 s later, at 2.74 s, lifts"),
+        ("late", -0.3, "closed 0.30 s earlier, at 2.20 s, lifts"),
+    ],
+)
+def test_timing_of_a_hand_that_closed(sub_cause: SubCause, shift_s: float, expected: str) -> None:
+    """Catches "earlier" for "later", and the shift added with the wrong sign."""
+    found = cause(draw("timing", sub_cause), shift_s=shift_s, p=0.914)
+    assert sentence(trial(), hindsight(), LEFT, found, None) == (
+        f"{CLOSED}: timing (91%). The same approach {expected} the object"
+    )
+
+
+def test_timing_of_a_hand_that_never_closed() -> None:
+    """Catches a shift counted from a close that never was: the last frame is at 4 s."""
+    found = cause(draw("timing", "never", closed=False), shift_s=-0.8)
+    assert sentence(trial(None), hindsight(), RAN_OUT, found, None) == (
+        f"{NEVER}: timing (87%). Closing at 3.20 s would have lifted the object"
+    )
+
+
+@pytest.mark.parametrize(
+    ("sub_cause", "expected"),
+    [("missed", "was not in the grasp"), ("unstable", "was lifted and slipped")],
+)
+@pytest.mark.parametrize(
+    ("displacement_m", "pushed"),
+    [(0.0, ""), (0.005, ""), (0.0082, ", not even without the push of 8 mm")],
+)
+def test_imprecise_pose(
+    sub_cause: SubCause, expected: str, displacement_m: float, pushed: str
+) -> None:
+    """Catches the sub-causes swapped, a window in another order, and a push within the rule's 5 mm
+    told.
+    """
+    found = cause(draw("imprecise_pose", sub_cause, displacement_m=displacement_m))
+    assert sentence(trial(), hindsight(), LEFT, found, None) == (
+        f"{CLOSED}: imprecise pose (87%). The object {expected}; no close from -1.0 s to +0.6 s lifts it{pushed}"
+    )
+
+
+def test_imprecise_pose_of_a_hand_that_was_never_near() -> None:
+    """Catches a window of close times read from an empty curve."""
+    found = cause(draw("imprecise_pose", "missed", curve=(), closed=False))
+    assert sentence(trial(None), hindsight(), RAN_OUT, found, None) == (
+        f"{NEVER}: imprecise pose (87%). The hand was never near the object"
+    )
+
+
+@pytest.mark.parametrize(
+    ("close_ns", "ended", "told"), [(CLOSE, LEFT, CLOSED), (None, RAN_OUT, NEVER)]
+)
+def test_unknown(close_ns: int | None, ended: Ended, told: str) -> None:
+    """Catches a doubt whose reason is not told."""
+    found = sentence(trial(close_ns), hindsight(), ended, UNKNOWN, "thumb_2")
+    assert found == f"{told}; the cause is unknown: it is not known"
+
+
+def test_the_facts_told_are_those_of_a_draw_of_the_class() -> None:
+    """Catches the first draw's displacement told of a class that it did not vote for."""
+    pushed = draw("collision", "displaced", displacement_m=0.03, displacement_deg=1.0)
+    found = replace(
+        cause(pushed), samples=(draw("imprecise_pose", "missed", displacement_m=0.09), pushed)
+    )
+    assert "it was 30 mm and 1 degrees off its path" in sentence(
+        trial(), hindsight(), LEFT, found, None
+    )
+
+
+# the row
+
+
+@dataclass
+class Stages:
+    """What the stages before answer, and what the last of them was asked."""
+
+    ended: Ended = LEFT
+    scene: Any = None
+    cause: Cause | str = ""
+    blame: Blame | None = None
+    asked: tuple[object, ...] = ()
+
+
+Replace = Callable[..., Stages]
+BLAMED = Blame("tracking", 0.6, {"servo": 0.0031, "tracking": 0.0204}, "recorded")
+
+
+@pytest.fixture
+def stages(monkeypatch: pytest.MonkeyPatch) -> Replace:
+    """Outcome, scene, cause and blame replaced by given ones. A cause that is text is raised as a
+    ValueError.
+    """
+
+    def replaced(**given: Any) -> Stages:
+        out = Stages(
+            **{
+                "scene": SimpleNamespace(beliefs="beliefs not recorded", held=False),
+                "blame": BLAMED,
+                **given,
+            }
+        )
+
+        def cause_of(*asked: object) -> Cause:
+            out.asked = asked
+            if isinstance(out.cause, str):
+                raise ValueError(out.cause)
+            return out.cause
+
+        def blame_of(found: Cause, beliefs: object) -> Blame | None:
+            assert found is out.cause
+            assert beliefs is out.scene.beliefs
+            return out.blame
+
+        monkeypatch.setattr(f"{JUDGE}.outcome_of", lambda *_: out.ended)
+        monkeypatch.setattr(f"{JUDGE}.scene_of", lambda *_: out.scene)
+        monkeypatch.setattr(f"{JUDGE}.cause_of", cause_of)
+        monkeypatch.setattr(f"{JUDGE}.blame_of", blame_of)
+        return out
+
+    return replaced
+
+
+CONFIG = load_config()
+MEASURED = {"gap_s": 0.4, "gap_sided": "two", "speed_measured": pytest.approx(0.1)}
+NOTHING: dict[str, Any] = dict.fromkeys(
+    ("failure_class", "p_imprecise_pose", "p_collision", "p_timing", "p_unknown", "sub_cause",
+     "blame", "p_blame", "belief_source", "gap_s", "gap_sided", "speed_measured")
+)  # fmt: skip
+
+
+def test_the_columns_of_a_verdict() -> None:
+    """Catches a column that is filled nowhere."""
+    assert set(VERDICT_COLUMNS) == set(NOTHING)
+
+
+@pytest.mark.parametrize(
+    "ended",
+    [
+        Ended("success", "label", "an operator's label says so"),
+        Ended("no_grasp", "inferred", "the log has no close command"),
+        Ended("incomplete", None, "the recording is damaged"),
+        Ended("unknown", None, "the log ends 0.1 s after the close"),
+    ],
+)
+def test_what_did_not_fail_has_no_cause(stages: Replace, ended: Ended) -> None:
+    """Catches physics run for a success, and a class given to it."""
+    asked = stages(ended=ended, cause=cause(draw("timing", "early"), shift_s=0.2))
+    found = judge(trial(), hindsight(), CONFIG)
+    rest = {"outcome": ended.outcome, "outcome_source": ended.source, "evidence": ended.evidence}
+    assert found.columns == NOTHING | MEASURED | rest
+    assert found == Judgement(found.columns, CLOSE, None, ("a note of hindsight",))
+    assert asked.asked == ()
+
+
+def test_a_success_without_hindsight(stages: Replace) -> None:
+    """Catches columns of hindsight read where there is none."""
+    ended = Ended("success", "label", "an operator's label says so")
+    stages(ended=ended)
+    found = judge(trial(None), None, CONFIG)
+    rest = {"outcome": "success", "outcome_source": "label", "evidence": ended.evidence}
+    assert found == Judgement(NOTHING | rest, None, None, ())
+
+
+NO_CLASS = {
+    "failure_class": "unknown",
+    "p_imprecise_pose": 0.0,
+    "p_collision": 0.0,
+    "p_timing": 0.0,
+    "p_unknown": 1.0,
+}
+
+
+def without_cause(why: str) -> dict[str, Any]:
+    return NO_CLASS | {
+        "outcome": "failure", "outcome_source": "inferred",
+        "evidence": f"{LEFT.evidence}; the cause is unknown: {why}",
+    }  # fmt: skip
+
+
+def test_a_failure_without_hindsight(stages: Replace) -> None:
+    """Catches a scene that is asked for without the object's path."""
+    asked = stages(cause=cause(draw("timing", "early"), shift_s=0.2))
+    found = judge(trial(), None, CONFIG)
+    assert found == Judgement(
+        NOTHING | without_cause("the object was never tracked"), CLOSE, None, ()
+    )
+    assert asked.asked == ()
+
+
+def test_a_failure_without_a_scene(stages: Replace) -> None:
+    """Catches a reason that is lost, and an instrument asked without a scene."""
+    asked = stages(
+        scene="what the object stands on was never seen", cause=cause(draw("timing", "early"))
+    )
+    found = judge(trial(), hindsight(), CONFIG)
+    wanted = NOTHING | MEASURED | without_cause("what the object stands on was never seen")
+    assert found == Judgement(wanted, CLOSE, None, ("a note of hindsight",))
+    assert asked.asked == ()
+
+
+def test_a_cloud_without_a_solid_is_no_crash(stages: Replace) -> None:
+    """Catches a ValueError of one trial that ends the run."""
+    stages(cause="the cloud of 40 points spans no volume")
+    found = judge(trial(), hindsight(), CONFIG)
+    wanted = NOTHING | MEASURED | without_cause("the cloud of 40 points spans no volume")
+    assert found == Judgement(wanted, CLOSE, None, ("a note of hindsight",))
+
+
+def test_the_instrument_is_the_configured_one(stages: Replace) -> None:
+    """Catches a setting that is not passed on, and draws and seed mixed up."""
+    asked = stages(cause=cause(draw("timing", "early"), shift_s=0.2))
+    settings = ("verdict.method=geometry", "verdict.draws=5", "verdict.least=0.7", "seed=9")
+    judge(trial(), hindsight(), load_config(assignments=settings))
+    assert asked.asked == (asked.scene, "geometry", 5, 9, 0.7)
+
+
+def test_the_row_of_a_failure(stages: Replace) -> None:
+    """Catches probabilities in the order of the classes' names, and p_blame of the class."""
+    given = replace(
+        cause(draw("collision", "displaced", displacement_m=0.02)),
+        probabilities=(0.2, 0.7, 0.1, 0.0),
+    )
+    stages(cause=given)
+    found = judge(trial(), hindsight(pushed_ns=START + 2 * SECOND), CONFIG)
+    text = sentence(trial(), hindsight(pushed_ns=START + 2 * SECOND), LEFT, given, "palm")
+    assert text.startswith("the hand closed at 2.50 s")
+    assert found.columns == MEASURED | {
+        "outcome": "failure", "outcome_source": "inferred", "evidence": text,
+        "failure_class": "collision", "p_imprecise_pose": 0.2, "p_collision": 0.7, "p_timing": 0.1,
+        "p_unknown": 0.0, "sub_cause": "displaced", "blame": "tracking", "p_blame": 0.6, "belief_source": "recorded",
+    }  # fmt: skip
+
+
+def test_the_row_of_a_doubt(stages: Replace) -> None:
+    """Catches a doubt that loses its probabilities, its reason, or its blame's reason."""
+    stages(cause=UNKNOWN, blame=Blame("unknown", 0.0, {}, None, "the class is unknown"))
+    found = judge(trial(), hindsight(), CONFIG)
+    names = ("p_imprecise_pose", "p_collision", "p_timing", "p_unknown")
+    assert tuple(found.columns[n] for n in names) == (0.1, 0.3, 0.1, 0.5)
+    assert (found.columns["failure_class"], found.columns["sub_cause"]) == ("unknown", None)
+    assert (found.columns["blame"], found.columns["p_blame"]) == ("unknown", None)
+    assert found.columns["belief_source"] is None
+    assert str(found.columns["evidence"]).endswith("the cause is unknown: it is not known")
+    assert found.decisive_ns == CLOSE
+    assert found.notes == (
+        "a note of hindsight",
+        "blame unknown: the class is unknown",
+        "verdict: twin, 1 draws, 4% reproduce the failure",
+    )
+
+
+# the link
+
+
+@pytest.mark.parametrize(
+    ("links", "expected"),
+    [
+        (("index_2", "thumb_3", "thumb_3"), "thumb_3"),
+        (("thumb_3", "index_2", None), "index_2"),  # as often: by name
+        ((None, "little_1", None), "little_1"),
+        ((None, None), "palm"),  # that of hindsight
+    ],
+)
+def test_the_link_that_most_draws_name(
+    stages: Replace, links: tuple[str | None, ...], expected: str
+) -> None:
+    """Catches the first draw's link, and a choice that depends on the order of a set."""
+    stages(cause=cause(*(draw("collision", "displaced", link) for link in links)))
+    found = judge(trial(), hindsight(), CONFIG)
+    assert found.link == expected
+    assert f"{expected} pushed the object" in str(found.columns["evidence"])
+
+
+# the decisive moment
+
+
+@pytest.mark.parametrize(
+    ("seen", "expected_ns"),
+    [
+        ({"pushed_ns": START + 2 * SECOND, "contact_ns": START + SECOND}, START + 2 * SECOND),
+        ({"contact_ns": START + SECOND}, START + SECOND),
+        ({}, CLOSE),
+    ],
+)
+def test_the_decisive_moment_of_a_collision(
+    stages: Replace, seen: dict[str, int], expected_ns: int
+) -> None:
+    """Catches the close shown where the push was seen."""
+    stages(cause=cause(draw("collision", "displaced")))
+    assert judge(trial(), hindsight(**seen), CONFIG).decisive_ns == expected_ns
+
+
+@pytest.mark.parametrize(
+    ("given", "shift_s", "close_ns", "expected_ns"),
+    [
+        (("timing", "early"), 0.2, CLOSE, CLOSE),
+        (("timing", "never"), -0.8, None, LAST - 800_000_000),
+        (("timing", "never"), None, None, None),
+        (("imprecise_pose", "missed"), None, CLOSE, CLOSE),
+        (("imprecise_pose", "missed"), None, None, None),
+    ],
+)
+def test_the_decisive_moment_of_the_other_classes(
+    stages: Replace,
+    given: tuple[FailureClass, SubCause],
+    shift_s: float | None,
+    close_ns: int | None,
+    expected_ns: int | None,
+) -> None:
+    """Catches a push shown for another class, and a close that should have been of a hand that
+    closed.
+    """
+    stages(cause=cause(draw(*given), shift_s=shift_s), ended=LEFT if close_ns else RAN_OUT)
+    found = judge(trial(close_ns), hindsight(pushed_ns=START + SECOND), CONFIG)
+    assert found.decisive_ns == expected_ns
+
+
+# notes
+
+
+def notes(
+    stages: Replace,
+    blame: Blame,
+    beliefs: Beliefs | str = "beliefs not recorded",
+    held: bool = False,
+) -> list[str]:
+    """The notes about the blame and the scene: without that of hindsight and that of the
+    instrument.
+    """
+    samples = [draw("imprecise_pose", "missed") for _ in range(7)]
+    stages(cause=cause(*samples), blame=blame, scene=SimpleNamespace(beliefs=beliefs, held=held))
+    first, *some, last = judge(trial(), hindsight(), CONFIG).notes
+    assert first == "a note of hindsight"
+    assert last == "verdict: twin, 7 draws, 75% reproduce the failure"
+    return some
+
+
+def test_notes_of_a_blamed_part(stages: Replace) -> None:
+    """Catches metres for millimetres, and gains in the other order."""
+    assert notes(stages, BLAMED) == ["blame: servo 3 mm, tracking 20 mm"]
+    assert notes(stages, BLAMED, Beliefs({}, None, None)) == ["blame: servo 3 mm, tracking 20 mm"]
+    assert notes(stages, BLAMED, Beliefs({}, None, (0.8, 3.2))) == [
+        "blame: servo 3 mm, tracking 20 mm",
+        "commanded to the grasp with 0.80/s level and 3.20/s upright",
+    ]
+
+
+def test_notes_of_execution_and_of_no_part(stages: Replace) -> None:
+    """Catches seconds told as millimetres, and a reason that is not told."""
+    assert (
+        notes(
+            stages,
+            Blame("execution", 0.8, {"execution": 0.3}, "recorded"),
+            Beliefs({}, None, (0.8, 3.2)),
+        )
+        == []
+    )
+    some = Blame("unknown", 0.0, {"servo": 0.03}, "recorded", "no part stands out")
+    assert notes(stages, some) == ["blame unknown: no part stands out"]
+
+
+def test_notes_of_a_held_object(stages: Replace) -> None:
+    """Catches an assumption that is not told."""
+    assert notes(stages, BLAMED, held=True) == [
+        "blame: servo 3 mm, tracking 20 mm",
+        "verdict: someone holds the object; it is assumed to be let go once two fingers press it for 0.1 s",
+    ]
