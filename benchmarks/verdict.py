@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 from dgeval.config import ServoConfig, VerdictConfig
 from dgeval.determinism import generator, limit_threads
-from dgeval.failure_rule import HANDED_OVER, Thresholds
+from dgeval.failure_rule import CLASSES, HANDED_OVER, Thresholds, Unknown
 from dgeval.geometry import Array, increment, invert
 from dgeval.hindsight.second_pass import blind_gap
 from dgeval.robots.dlr_hit_hand import ACTUATED
@@ -45,8 +45,8 @@ from dgeval.verdict.beliefs import (
     growth,
     steady,
 )
-from dgeval.verdict.blame import blame_of
-from dgeval.verdict.decide import CLASSES, Cause, cause_of
+from dgeval.verdict.decide import blame_of, undecided
+from dgeval.verdict.draws import decide_scene
 from dgeval.verdict.evidence import APPROACH_S, CLOSING, PERIOD_NS, HandMotion, Scene, of_hand
 from dgeval.verdict.outcome import LAST_S, between_jaws, grip
 from dgeval.worlds.closing import CONTROL_S
@@ -195,7 +195,7 @@ def beliefs(
     place: Array,
     carried_off: Array,
     rng: np.random.Generator,
-) -> Beliefs | str:
+) -> Beliefs | Unknown:
     """As `dgeval.verdict.beliefs` finds them in a recording. seen: T_base_object by tick from `begin`, as hindsight sees it.
 
     T_base_palm: by tick too. T_true_seen: from the base frame into that in which these and the undisturbed object at the end,
@@ -215,7 +215,7 @@ def beliefs(
         before, grasps = [f for f in before if f.tick <= at], [g for g in grasps if g[0] <= at]
     own = [f for f in before if f.accepted and f.T_base_object is not None]
     if not own or not grasps or own[-1].velocity is None:
-        return "beliefs not recorded"
+        return Unknown("beliefs not recorded")
     tick, grasp = grasps[-1]
     believed = before[-1].velocity if before[-1].velocity is not None else own[-1].velocity
     grasp = T_true_seen @ grasp
@@ -367,17 +367,26 @@ def judge(job: Job) -> dict[str, Any]:
     scene = scene_from(run, world, job.seed)
     for method in job.methods:
         start = time.process_time()
-        try:
-            cause = cause_of(scene, method, job.draws, 0, VerdictConfig().least)
-        except ValueError as error:  # as `dgeval.verdict.judge` has it
-            cause = Cause("unknown", (0.0, 0.0, 0.0, 1.0), None, None, (), 0.0, method, str(error))
-        blamed = blame_of(cause, scene.beliefs)
+        decision = decide_scene(scene, method, job.draws, 0, VerdictConfig().least)
+        if isinstance(decision, Unknown):
+            decision = undecided(decision.reason, method)
+        answer, draws = decision.answer, decision.draws
+        known = None if isinstance(answer, Unknown) else answer
+        blamed = blame_of(decision, scene.beliefs)
+        unblamed = blamed.part if isinstance(blamed.part, Unknown) else None
         out[method] = {
-            "class": cause.failure_class, "p": cause.probabilities, "sub": cause.sub_cause, "shift_s": cause.shift_s,
-            "reproduced": cause.reproduced, "seconds": time.process_time() - start,
-            "draws": [(s.verdict.failure_class, s.reproduced, s.weight) for s in cause.samples],
-            "why": cause.why_unknown, "blame": blamed.term, "blame_why": blamed.why_unknown, "errors": blamed.sizes,
-        }  # fmt: skip
+            "class": known.failure_class if known else "unknown",
+            "p": decision.probabilities,
+            "sub": known.sub_cause if known else None,
+            "shift_s": known.shift_s if known else None,
+            "reproduced": draws.reproduced,
+            "seconds": time.process_time() - start,
+            "draws": [(d.verdict.failure_class, d.reproduced, d.weight) for d in draws.asked],
+            "why": answer.reason if isinstance(answer, Unknown) else None,
+            "blame": "unknown" if unblamed else blamed.part,
+            "blame_why": unblamed.reason if unblamed else None,
+            "errors": blamed.sizes,
+        }
     return out
 
 

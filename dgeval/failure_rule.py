@@ -1,30 +1,40 @@
-"""Outcomes, failure classes, and the one rule that turns facts into a class (SIMULATION section 5, "the rule").
+"""The one rule that turns facts into outcome words, class and sub-cause of a failed grasp.
 
-The simulator's truth and the twin both use it: they find out facts, the rule says which fact it needs next and what follows.
+The simulator's truth and the verdict's twin both use it: they find out facts, the rule says which
+fact it needs next and what follows (docs/simulation.md, "Truth rule"). A new sub-cause is one row
+of `SUB_CAUSES`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 Outcome = Literal["success", "failure", "no_grasp", "incomplete", "unknown"]
 OutcomeSource = Literal["label", "inferred"]
-FailureClass = Literal["imprecise_pose", "collision", "timing", "unknown"]
+FailureClass = Literal["imprecise_pose", "collision", "timing"]
 Tracking = Literal["tracked", "lost", "not_started"]
-SubCause = Literal["never", "early", "late", "displaced", "missed", "unstable"]
 Fact = Literal["put_back", "free_pose"]
+CLASSES: tuple[FailureClass, ...] = ("imprecise_pose", "collision", "timing")
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """No answer, and why. `reason` completes "unknown: …"."""
+
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """Where the rule draws its lines."""
+    """Where the rule draws its lines; values of docs/simulation.md, "Truth rule"."""
 
-    moved_m: float = 0.005  # off the undisturbed path before the close
-    moved_deg: float = 5.0
-    overlap_m: float = 0.002  # of hand and object put back
+    moved_m: float = 0.005  # m off the undisturbed path before the close
+    moved_deg: float = 5.0  # degrees likewise
+    overlap_m: float = 0.002  # m, penetration of hand and object put back on its path
     consecutive: int = 2  # other close times in a row that must succeed: single ones are chance
-    unstable_m: float = 0.02  # raised by at least this and dropped: unstable, else missed
+    unstable_m: float = 0.02  # m; raised by at least this and dropped: unstable, else missed
 
     def scaled(self, name: str, factor: float) -> Thresholds:
         """The same with one threshold moved."""
@@ -33,7 +43,7 @@ class Thresholds:
         return Thresholds(**values)
 
 
-# who holds something gives way a little (SIMULATION section 5)
+# a person who holds something gives way a little (docs/simulation.md, "Truth rule")
 HANDED_OVER = Thresholds(moved_m=0.012)
 
 
@@ -41,11 +51,13 @@ HANDED_OVER = Thresholds(moved_m=0.012)
 class Facts:
     """What is known of a failed grasp. None: not found out yet; only `put_back` and `free_pose` may be.
 
-    displacement_m, displacement_deg: furthest off the undisturbed path before the close (of the whole approach if it never
-    came). curve: (offset s from the real close, success) of other close times, in order; of the last possible close if it
-    never came. contact_s: offset of the last instant before the displacing contact. overlap_m: hand and object put back at
-    the close. put_back: the object put back on its undisturbed path at the close (never closed: at first contact), it
-    works. free_pose: likewise, from the nearest palm pose that overlaps nothing. height_m: greatest rise of the object.
+    displacement_m, displacement_deg: furthest off the undisturbed path before the close (of the
+    whole approach if it never came). curve: (offset s from the real close, success) of other close
+    times, in order; of the last possible close if it never came. contact_s: offset of the last
+    instant before the displacing contact. overlap_m: penetration of hand and object put back at the
+    close. put_back: with the object put back on its undisturbed path at the close (never closed: at
+    first contact), the close succeeds. free_pose: likewise, from the nearest palm pose without
+    penetration. height_m: greatest rise of the object.
     """
 
     closed: bool
@@ -60,11 +72,84 @@ class Facts:
 
 
 @dataclass(frozen=True, slots=True)
+class SubCause:
+    """A row of the table of sub-causes.
+
+    when: of a failure of this class with these facts and shift s, whether it is this sub-cause; the
+    first row that holds is taken. sentence: what happened, with the fields of
+    `verdict.sentence.fields_of`. hint: what to look at first.
+    """
+
+    name: str
+    failure_class: FailureClass
+    when: Callable[[Facts, float | None, Thresholds], bool]
+    sentence: str
+    hint: str
+
+
+SUB_CAUSES: tuple[SubCause, ...] = (
+    SubCause(
+        "displaced",
+        "collision",
+        lambda facts, shift, th: True,
+        "{link} pushed the object{pushed_at}; it was {off_mm:.0f} mm and {off_deg:.0f} degrees off "
+        "its path by the close, and on its path it could be lifted",
+        "the approach direction and the pre-shape of the link that pushed",
+    ),
+    SubCause(
+        "never",
+        "timing",
+        lambda facts, shift, th: not facts.closed,
+        "Closing at {good_at} would have lifted the object",
+        "the condition that releases the close",
+    ),
+    SubCause(
+        "early",
+        "timing",
+        lambda facts, shift, th: shift is not None and shift > 0,
+        "The same approach closed {shift_s:.2f} s {direction}, at {good_at}, lifts the object",
+        "the threshold that releases the close: it is reached before the hand is there",
+    ),
+    SubCause(
+        "late",
+        "timing",
+        lambda facts, shift, th: True,
+        "The same approach closed {shift_s:.2f} s {direction}, at {good_at}, lifts the object",
+        "latency, and the threshold that releases the close",
+    ),
+    SubCause(
+        "unstable",
+        "imprecise_pose",
+        lambda facts, shift, th: facts.height_m >= th.unstable_m,
+        "The object was lifted and slipped; no close from {first_s:+.1f} s to {last_s:+.1f} s "
+        "lifts it{pushed_too}",
+        "the choice of the grasp: what it holds gives way",
+    ),
+    SubCause(
+        "missed",
+        "imprecise_pose",
+        lambda facts, shift, th: True,
+        "The object was not in the grasp; no close from {first_s:+.1f} s to {last_s:+.1f} s "
+        "lifts it{pushed_too}",
+        "the object's believed pose against hindsight's, and the servo's error at the close",
+    ),
+)  # fmt: skip
+
+
+def sub_cause_named(name: str) -> SubCause:
+    """The table's row; KeyError for a name that is not in it."""
+    for row in SUB_CAUSES:
+        if row.name == name:
+            return row
+    raise KeyError(f"no sub-cause {name!r} in failure_rule.SUB_CAUSES")
+
+
+@dataclass(frozen=True, slots=True)
 class Verdict:
     """Class and sub-cause of a failure; shift_s: how much later (positive) the close should have come."""
 
     failure_class: FailureClass
-    sub_cause: SubCause
+    sub_cause: str
     shift_s: float | None = None
 
 
@@ -76,44 +161,61 @@ class Needs:
 
 
 def classify(facts: Facts, thresholds: Thresholds | None = None) -> Verdict | Needs:
-    """The class of a failed grasp, or the fact that decides it."""
+    """The class of a failed grasp, or the fact that decides it; the first step that applies.
+
+    1. Never closed: another close time would do → timing. Moved, and the object put back at first
+       contact would have been grasped → collision. Else imprecise pose.
+    2. Moved before the close, and put back on its path without penetration: that succeeds →
+       collision; else go on with step 4.
+    3. Moved, and put back it penetrates the hand: a close before the contact succeeds → timing. The
+       nearest palm pose that is free succeeds → collision; else imprecise pose.
+    4. Another close time succeeds → timing.
+    5. Else imprecise pose.
+    """
     th = thresholds or Thresholds()
     moved = facts.displacement_m > th.moved_m or facts.displacement_deg > th.moved_deg
-    shift = _nearest_run(facts.curve, th.consecutive)
-    imprecise = Verdict(
-        "imprecise_pose", "unstable" if facts.height_m >= th.unstable_m else "missed"
-    )
-    if not facts.closed:
+    shift = nearest_run(facts.curve, th.consecutive)
+
+    def verdict(failure_class: FailureClass, shift_s: float | None = None) -> Verdict:
+        row = next(
+            r for r in SUB_CAUSES if r.failure_class == failure_class and r.when(facts, shift_s, th)
+        )
+        return Verdict(failure_class, row.name, shift_s)
+
+    if not facts.closed:  # 1
         if shift is not None:
-            return Verdict("timing", "never", shift)
+            return verdict("timing", shift)
         if not moved:
-            return imprecise
+            return verdict("imprecise_pose")
         if facts.put_back is None:
             return Needs("put_back")
-        return Verdict("collision", "displaced") if facts.put_back else imprecise
+        return verdict("collision" if facts.put_back else "imprecise_pose")
     if moved:
         if facts.put_back is None:
             return Needs("put_back")
-        if facts.overlap_m <= th.overlap_m:
+        if facts.overlap_m <= th.overlap_m:  # 2
             if facts.put_back:
-                return Verdict("collision", "displaced")
-        else:
+                return verdict("collision")
+        else:  # 3
             before = tuple(
                 c for c in facts.curve if facts.contact_s is not None and c[0] <= facts.contact_s
             )
-            earlier = _nearest_run(before, th.consecutive)
+            earlier = nearest_run(before, th.consecutive)
             if earlier is not None:
-                return Verdict("timing", "late", earlier)
+                return verdict("timing", earlier)
             if facts.free_pose is None:
                 return Needs("free_pose")
-            return Verdict("collision", "displaced") if facts.free_pose else imprecise
-    if shift is not None:
-        return Verdict("timing", "early" if shift > 0 else "late", shift)
-    return imprecise
+            return verdict("collision" if facts.free_pose else "imprecise_pose")
+    if shift is not None:  # 4
+        return verdict("timing", shift)
+    return verdict("imprecise_pose")  # 5
 
 
-def _nearest_run(curve: tuple[tuple[float, bool], ...], consecutive: int) -> float | None:
-    """Offset, nearest to 0, of a close time in a run of at least `consecutive` successes; the failure at 0 parts runs."""
+def nearest_run(curve: tuple[tuple[float, bool], ...], consecutive: int) -> float | None:
+    """Offset s, nearest to 0, of a close time in a run of at least `consecutive` successes.
+
+    The failure at 0 parts runs. None where there is no such run.
+    """
     best: float | None = None
     run: list[float] = []
     for offset, success in (*curve, (float("inf"), False)):

@@ -233,7 +233,7 @@ class ReviewWriter:
     ) -> dict[str, int]:
         """Add what hindsight says and the blueprint, rename. Gives the file's bytes and those of the images as recorded."""
         decisive = judgement.decisive_ns or self._first_lost_ns
-        evidence = str(judgement.columns.get("evidence", ""))
+        evidence = judgement.row.evidence
         if hindsight is not None:
             self._log_hindsight(hindsight, judgement.link, decisive)
         if decisive is None and self._moments:

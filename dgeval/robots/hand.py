@@ -19,6 +19,7 @@ class Gripper:
 
     T_hand_palm: the frame of grasps; T_hand_camera: its colour camera, as calibrated; centre (3,) m in hand_base: where held
     things are. positions: all joints of a preshape; targets: of the drives, s after the close command.
+    mismatch_sd: rad or m, of where the closing fingers come to rest in the twin against the log.
     """
 
     name: Literal["fingers", "jaw"]
@@ -30,6 +31,7 @@ class Gripper:
     centre: Array
     positions: Callable[[Array], Array]
     targets: Callable[[float, Array], Array]
+    mismatch_sd: float
 
 
 def _coupled(preshape: Array) -> Array:
@@ -40,11 +42,11 @@ def _coupled(preshape: Array) -> Array:
 
 FIVE_FINGERS = Gripper(
     "fingers", hand.JOINT_NAMES, hand.ACTUATED, hand.FINGERS, hand.T_hand_palm, hand.T_hand_camera,
-    hand.GRASP_CENTRE, _coupled, hand.finger_targets,
+    hand.GRASP_CENTRE, _coupled, hand.finger_targets, 0.03,
 )  # fmt: skip
 JAW = Gripper(
     "jaw", jaw.JOINT_NAMES, jaw.JOINT_NAMES, jaw.FINGERS, jaw.T_hand_grasp, jaw.T_hand_camera,
-    jaw.T_hand_grasp[:3, 3], np.copy, jaw.finger_targets,
+    jaw.T_hand_grasp[:3, 3], np.copy, jaw.finger_targets, 0.002,
 )  # fmt: skip
 
 

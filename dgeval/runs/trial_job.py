@@ -274,7 +274,7 @@ def _trial_row(
         "t_decisive_ns": judgement.decisive_ns,
         "contact_link": judgement.link,
         "notes": "; ".join([*notes, *judgement.notes]),
-        **judgement.columns,
+        **asdict(judgement.row),
     }
     return row, exit_code, messages
 
@@ -319,7 +319,7 @@ def _write_picture(
     t_ns, T_base_camera, data = min(usable, key=lambda r: abs(r[0] - wanted))
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert T_base_camera is not None
-    said = judgement.columns.get("failure_class") or judgement.columns["outcome"]
+    said = judgement.row.failure_class or judgement.row.outcome
     title = f"{trial.spec.id}  {(t_ns - trial.pairs[0][0]) * 1e-9:.2f} s  {said}"
     drawn = decisive_picture(
         np.asarray(image, dtype=np.uint8), t_ns, T_base_camera, trial.camera, hindsight, title

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from dgeval.failure_rule import Unknown
 from dgeval.geometry import Array, invert, matrix_from_pose, transform
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.messages import StampedPose, cloud_points
@@ -58,20 +59,20 @@ class Beliefs:
         return Beliefs(errors, None if self.goal is None else T @ self.goal, self.gains)
 
 
-def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | str:
-    """What the robot believed, base frame; in words, why nothing can be said."""
+def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | Unknown:
+    """What the robot believed, base frame; `Unknown` says why nothing can be said."""
     close_ns = trial.event_ns("close")
     grasps, targets = trial.scan.poses.get(GRASP_TOPIC, []), trial.scan.poses.get(TARGET_TOPIC, [])
     at_ns = _nearest_ns(trial, grasps) if close_ns is None else close_ns
     if at_ns is None:
-        return "beliefs not recorded"
+        return Unknown("beliefs not recorded")
     grasps, targets = (
         [p for p in grasps if p.t_ns <= at_ns],
         [p for p in targets if p.t_ns <= at_ns],
     )
     palm = trial.robot.T_base_palm(at_ns)
     if palm is None or not grasps or len(targets) < 2:
-        return "beliefs not recorded"
+        return Unknown("beliefs not recorded")
     velocities = [v[:3] for t, v in trial.scan.twists.get(VELOCITY_TOPIC, []) if t <= at_ns]
     # the grasp was last recorded with a frame; it has moved on with the object since, as the robot believed
     velocity = velocities[-1] if velocities else np.zeros(3)
@@ -87,7 +88,9 @@ def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | str:
     ] or targets
     tracking = _tracking(trial, targets[0], own[-1], hindsight)
     if tracking is None:
-        return "where camera and object were when the robot last saw the object is not known"
+        return Unknown(
+            "where camera and object were when the robot last saw the object is not known"
+        )
     errors = {"servo": palm[:3, 3] - grasp, "tracking": tracking}
     # what is pushed moves otherwise than before, and the belief follows it
     free_ns = min(

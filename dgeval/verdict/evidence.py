@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dgeval.failure_rule import Unknown
 from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.robot import JointTrack
@@ -69,7 +70,7 @@ class Scene:
     close: int | None
     seen: Array
     gripper: Gripper
-    beliefs: Beliefs | str
+    beliefs: Beliefs | Unknown
     held: bool = False
 
     @property
@@ -78,19 +79,23 @@ class Scene:
         return len(self.hand.t_ns) - 1 if self.close is None else self.close
 
 
-def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
-    """The approach up to the close, or to the end of the log without one; in words, why there can't be one."""
+def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
+    """The approach up to the close, or to the end of the log without one; `Unknown` says why there can't be one."""
     close_ns = trial.event_ns("close")
     description = trial.robot.description
     base = trial.robot.base_frame
     if description is None or base is None:
-        return "no robot description and base frame: the hand's geometry is not known"
+        return Unknown("no robot description and base frame: the hand's geometry is not known")
     mounts = {j.name: j.parent for j in description.joints.values()}
     gripper = gripper_of(mounts)
     if gripper is None:
-        return "the twin knows the DLR-HIT Hand II and dgeval's jaw gripper only, and the description's joints are not theirs"
+        return Unknown(
+            "the twin knows the DLR-HIT Hand II and dgeval's jaw gripper only, and the description's joints are not theirs"
+        )
     if hindsight.n_registered < MIN_REGISTERED:
-        return f"the object was registered in only {hindsight.n_registered} frames before the close"
+        return Unknown(
+            f"the object was registered in only {hindsight.n_registered} frames before the close"
+        )
     root = mounts[gripper.drives[0]]
     track = JointTrack.of(
         trial.scan.joints.get(trial.roles.hand_joints or "", []),
@@ -105,7 +110,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
     above = hindsight.support is None or float(np.quantile(points[:, 2], 0.02)) > HELD_ABOVE_M
     held = above and _rises(hindsight, T_support_base, end_ns)
     if hindsight.support is None and not held:
-        return "what the object stands on was never seen"
+        return Unknown("what the object stands on was never seen")
     believed = trial.scan.twists.get(VELOCITY_TOPIC, [])
     believed_ns = np.array([t for t, _ in believed], dtype=np.int64)
     free = T_support_base[:3, :3] @ hindsight.path.velocity[-1]
@@ -120,7 +125,9 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         ]
         if T is None or any(v is None for v in q):
             if kept:
-                return f"the hand's pose is not known at {(t_ns - end_ns) * 1e-9:.2f} s before the end of the approach"
+                return Unknown(
+                    f"the hand's pose is not known at {(t_ns - end_ns) * 1e-9:.2f} s before the end of the approach"
+                )
             continue
         kept.append(t_ns)
         hands.append(T_support_base @ T)
@@ -128,7 +135,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         k = int(np.searchsorted(believed_ns, t_ns, side="right")) - 1
         velocities.append(T_support_base[:3, :3] @ believed[k][1][:3] if k >= 0 else free)
     if len(kept) < 20:
-        return "less than 0.2 s of the approach has a known hand pose"
+        return Unknown("less than 0.2 s of the approach has a known hand pose")
     centres = np.array(
         [transform(hindsight.path.at(t), hindsight.path.centroid[None])[0] for t in kept]
     )
@@ -165,7 +172,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | str:
         None if close_ns is None else len(kept) - 1,
         _seen(hindsight, T_support_base, hand.t_ns, end_ns),
         gripper,
-        beliefs if isinstance(beliefs, str) else beliefs.moved(T_support_base),
+        beliefs if isinstance(beliefs, Unknown) else beliefs.moved(T_support_base),
         held,
     )
 

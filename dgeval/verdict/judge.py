@@ -1,30 +1,47 @@
-"""One trial's verdict: outcome, class, sub-cause, blame, and the sentence a person would say."""
+"""One trial's verdict: how it ended, the scene, the decision, blame, and the sentence. The steps stand in `decide`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dgeval.config import Config
+from dgeval.failure_rule import Outcome, OutcomeSource, Unknown
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.trials import Trial
-from dgeval.verdict.blame import blame_of
-from dgeval.verdict.decide import Cause, cause_of
+from dgeval.verdict.decide import Blame, Decision, blame_of, undecided
+from dgeval.verdict.draws import decide_scene
 from dgeval.verdict.evidence import Scene, scene_of
 from dgeval.verdict.outcome import outcome_of
-from dgeval.verdict.sentence import sentence
+from dgeval.verdict.sentence import Times, sentence
 
-VERDICT_COLUMNS = (
-    "failure_class", "p_imprecise_pose", "p_collision", "p_timing", "p_unknown", "sub_cause", "blame", "p_blame",
-    "belief_source", "gap_s", "gap_sided", "speed_measured",
-)  # fmt: skip
+
+@dataclass(frozen=True, slots=True)
+class VerdictRow:
+    """The verdict's columns of the trial's row, by their names in `schema.TRIALS`."""
+
+    outcome: Outcome
+    outcome_source: OutcomeSource | None
+    evidence: str
+    failure_class: str | None = None
+    p_imprecise_pose: float | None = None
+    p_collision: float | None = None
+    p_timing: float | None = None
+    p_unknown: float | None = None
+    sub_cause: str | None = None
+    blame: str | None = None
+    p_blame: float | None = None
+    belief_source: str | None = None
+    gap_s: float | None = None
+    gap_sided: str | None = None
+    speed_measured: float | None = None
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """Columns of the trial's row, and what the review draws: the decisive moment ns, the offending link."""
+    """The trial's verdict as a row, and what the review draws: the decisive moment ns, the offending link."""
 
-    columns: dict[str, Any]
+    row: VerdictRow
     decisive_ns: int | None
     link: str | None
     notes: tuple[str, ...] = ()
@@ -34,75 +51,102 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
     """The verdict on one trial from its recording alone."""
     ended = outcome_of(trial, hindsight)
     close_ns = trial.event_ns("close")
-    columns: dict[str, Any] = dict.fromkeys(VERDICT_COLUMNS)
-    columns.update(outcome=ended.outcome, outcome_source=ended.source, evidence=ended.evidence)
+    row = VerdictRow(ended.outcome, ended.source, ended.evidence)
     notes: list[str] = []
     if hindsight is not None:
-        columns["gap_s"], columns["gap_sided"] = hindsight.gap_s, hindsight.gap_sided
         speed = float((hindsight.path.velocity[-1] ** 2).sum() ** 0.5)
-        columns["speed_measured"] = speed
+        row = replace(
+            row, gap_s=hindsight.gap_s, gap_sided=hindsight.gap_sided, speed_measured=speed
+        )
         notes += hindsight.notes
     if ended.outcome != "failure":
-        return Judgement(columns, close_ns, None, tuple(notes))
-    cause: Cause | str
-    scene: Scene | str = "the object was never tracked"
+        return Judgement(row, close_ns, None, tuple(notes))
+    answered = _decision(trial, hindsight, config)
+    if isinstance(answered, Unknown) or hindsight is None:
+        assert isinstance(answered, Unknown)
+        evidence = f"{ended.evidence}; the cause is unknown: {answered.reason}"
+        columns = class_columns(undecided(answered.reason, config.verdict.method))
+        row = replace(row, evidence=evidence, **columns)
+        return Judgement(row, close_ns, None, tuple(notes))
+    scene, decision = answered
+    pushed_ns = hindsight.pushed_ns or hindsight.contact_ns
+    times = Times(trial.pairs[0][0], trial.pairs[-1][0], close_ns, pushed_ns)
+    link = pushing_link(decision, hindsight)
+    blame = blame_of(decision, scene.beliefs)
+    row = replace(
+        row,
+        evidence=sentence(times, ended, decision, link),
+        blame="unknown" if isinstance(blame.part, Unknown) else blame.part,
+        p_blame=None if isinstance(blame.part, Unknown) else blame.probability,
+        belief_source=blame.source,
+        **class_columns(decision),
+    )
+    notes += notes_of(scene, decision, blame)
+    return Judgement(row, decisive_ns(decision, times), link, tuple(notes))
+
+
+def _decision(
+    trial: Trial, hindsight: Hindsight | None, config: Config
+) -> tuple[Scene, Decision] | Unknown:
     if hindsight is None:
-        cause = str(scene)
-    else:
-        scene = scene_of(trial, hindsight)
-        v = config.verdict
-        try:
-            cause = (
-                scene
-                if isinstance(scene, str)
-                else cause_of(scene, v.method, v.draws, config.seed, v.least)
-            )
-        except (
-            ValueError
-        ) as error:  # a cloud that spans no volume, or that MuJoCo can't make a solid of
-            cause = str(error)
-    if isinstance(cause, str) or isinstance(scene, str) or hindsight is None:
-        columns.update(
-            failure_class="unknown",
-            p_imprecise_pose=0.0,
-            p_collision=0.0,
-            p_timing=0.0,
-            p_unknown=1.0,
-        )
-        columns["evidence"] = f"{ended.evidence}; the cause is unknown: {cause}"
-        return Judgement(columns, close_ns, None, tuple(notes))
+        return Unknown("the object was never tracked")
+    scene = scene_of(trial, hindsight)
+    if isinstance(scene, Unknown):
+        return scene
+    v = config.verdict
+    decision = decide_scene(scene, v.method, v.draws, config.seed, v.least)
+    return decision if isinstance(decision, Unknown) else (scene, decision)
+
+
+def class_columns(decision: Decision) -> dict[str, Any]:
+    """Class, sub-cause and probabilities of a decision, by column."""
     names = ("p_imprecise_pose", "p_collision", "p_timing", "p_unknown")
-    columns.update(zip(names, cause.probabilities, strict=True))
-    columns["failure_class"] = cause.failure_class
-    columns["sub_cause"] = cause.sub_cause
-    links = [s.contact_link for s in cause.samples if s.contact_link]
-    link = max(sorted(set(links)), key=links.count) if links else hindsight.contact_link
-    blame = blame_of(cause, scene.beliefs)
-    columns["blame"], columns["belief_source"] = blame.term, blame.source
-    columns["p_blame"] = blame.probability if blame.term != "unknown" else None
-    columns["evidence"] = sentence(trial, hindsight, ended, cause, link)
-    if blame.term == "unknown":
-        notes.append(f"blame unknown: {blame.why_unknown}")
-    elif blame.term != "execution":
-        notes.append(
-            "blame: " + ", ".join(f"{k} {v * 1000:.0f} mm" for k, v in blame.sizes.items())
-        )
-        if not isinstance(scene.beliefs, str) and scene.beliefs.gains is not None:
+    columns: dict[str, Any] = dict(zip(names, decision.probabilities, strict=True))
+    known = not isinstance(decision.answer, Unknown)
+    columns["failure_class"] = decision.answer.failure_class if known else "unknown"  # type: ignore[union-attr]
+    columns["sub_cause"] = decision.answer.sub_cause if known else None  # type: ignore[union-attr]
+    return columns
+
+
+def pushing_link(decision: Decision, hindsight: Hindsight) -> str | None:
+    """The link that moved the object in most draws, else the one that hindsight saw nearest."""
+    links = [d.contact_link for d in decision.draws.asked if d.contact_link]
+    return max(sorted(set(links)), key=links.count) if links else hindsight.contact_link
+
+
+def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
+    """What a verdict rests on, for the trial's notes."""
+    notes = []
+    if isinstance(blame.part, Unknown):
+        notes.append(f"blame unknown: {blame.part.reason}")
+    elif blame.part != "execution":
+        sizes = ", ".join(f"{part} {size * 1000:.0f} mm" for part, size in blame.sizes.items())
+        notes.append(f"blame: {sizes}")
+        if not isinstance(scene.beliefs, Unknown) and scene.beliefs.gains is not None:
+            level, upright = scene.beliefs.gains
             notes.append(
-                "commanded to the grasp with {:.2f}/s level and {:.2f}/s upright".format(
-                    *scene.beliefs.gains
-                )
+                f"commanded to the grasp with {level:.2f}/s level and {upright:.2f}/s upright"
             )
     if scene.held:
         notes.append(
-            "verdict: someone holds the object; it is assumed to be let go once two fingers press it for 0.1 s"
+            "verdict: someone holds the object; it is assumed to be let go once two fingers press "
+            "it for 0.1 s"
         )
+    draws = decision.draws
     notes.append(
-        f"verdict: {cause.instrument}, {len(cause.samples)} draws, {cause.reproduced:.0%} reproduce the failure"
+        f"verdict: {draws.instrument}, {len(draws.asked)} draws, "
+        f"{draws.reproduced:.0%} reproduce the failure"
     )
-    decisive = close_ns
-    if cause.failure_class == "collision":
-        decisive = hindsight.pushed_ns or hindsight.contact_ns or close_ns
-    elif cause.failure_class == "timing" and cause.shift_s is not None and close_ns is None:
-        decisive = trial.pairs[-1][0] + round(cause.shift_s * 1e9)
-    return Judgement(columns, decisive, link, tuple(notes))
+    return notes
+
+
+def decisive_ns(decision: Decision, times: Times) -> int | None:
+    """When it was decided: the push, the close, or the good moment of a hand that never closed."""
+    answer = decision.answer
+    if isinstance(answer, Unknown):
+        return times.close_ns
+    if answer.failure_class == "collision":
+        return times.pushed_ns or times.close_ns
+    if answer.failure_class == "timing" and answer.shift_s is not None and times.close_ns is None:
+        return times.shifted_ns(answer.shift_s)
+    return times.close_ns

@@ -1,53 +1,79 @@
-"""The sentence that a person would say about a failed trial."""
+"""The sentence that a person would say about a failed trial: a row of `SUB_CAUSES`, filled in."""
 
 from __future__ import annotations
 
-from dgeval.hindsight.second_pass import Hindsight
-from dgeval.recording.trials import Trial
-from dgeval.verdict.decide import Cause
+from dataclasses import dataclass
+
+from dgeval.failure_rule import Unknown, sub_cause_named
+from dgeval.verdict.decide import Decision
 from dgeval.verdict.outcome import Ended
 
-WORDS = {"imprecise_pose": "imprecise pose", "collision": "collision", "timing": "timing"}
+CLASS_TEXT = {"imprecise_pose": "imprecise pose", "collision": "collision", "timing": "timing"}
+PUSHED_TOO_M = (
+    0.005  # m; a push beyond this is mentioned though it did not decide (the rule's 5 mm)
+)
 
 
-def sentence(
-    trial: Trial, hindsight: Hindsight, ended: Ended, cause: Cause, link: str | None
-) -> str:
-    """What a person would say, with times in seconds from the trial's first frame."""
-    start = trial.pairs[0][0]
-    close_ns = trial.event_ns("close")
+@dataclass(frozen=True, slots=True)
+class Times:
+    """Moments of a trial, ns: its first and last frame, the close, and the push; None where there was none."""
 
-    def at(t_ns: int) -> str:
-        return f"{(t_ns - start) * 1e-9:.2f} s"
+    first_ns: int
+    last_ns: int
+    close_ns: int | None
+    pushed_ns: int | None
 
-    closed = (
-        f"the hand closed at {at(close_ns)}" if close_ns is not None else "the hand never closed"
+    def text(self, t_ns: int) -> str:
+        """A moment in seconds from the first frame."""
+        return f"{(t_ns - self.first_ns) * 1e-9:.2f} s"
+
+    def shifted_ns(self, shift_s: float) -> int:
+        """A shift from the close, or from the last frame if it never came, as a moment."""
+        return (self.last_ns if self.close_ns is None else self.close_ns) + round(shift_s * 1e9)
+
+
+def sentence(times: Times, ended: Ended, decision: Decision, link: str | None) -> str:
+    """What happened, with times in seconds from the trial's first frame."""
+    closed = "the hand never closed"
+    if times.close_ns is not None:
+        closed = f"the hand closed at {times.text(times.close_ns)}"
+    answer = decision.answer
+    if isinstance(answer, Unknown):
+        return f"{closed}, {ended.evidence}; the cause is unknown: {answer.reason}"
+    begin = f"{closed}, {ended.evidence}: {CLASS_TEXT[answer.failure_class]} "
+    begin += f"({max(decision.probabilities):.0%}). "
+    facts = decision.chosen[0].facts
+    if answer.failure_class == "imprecise_pose" and not facts.curve:
+        return begin + "The hand was never near the object"
+    return begin + sub_cause_named(answer.sub_cause).sentence.format(
+        **fields_of(times, decision, link)
     )
-    if cause.failure_class == "unknown":
-        return f"{closed}, {ended.evidence}; the cause is unknown: {cause.why_unknown}"
-    p = max(cause.probabilities)
-    facts = next(s.facts for s in cause.samples if s.verdict.failure_class == cause.failure_class)
-    said = f"{closed}, {ended.evidence}: {WORDS[cause.failure_class]} ({p:.0%}). "
-    if cause.failure_class == "collision":
-        when = hindsight.pushed_ns or hindsight.contact_ns
-        who = f"{link} " if link else "the hand "
-        where = f" at {at(when)}" if when is not None else ""
-        off = f"{facts.displacement_m * 1000:.0f} mm and {facts.displacement_deg:.0f} degrees"
-        return f"{said}{who}pushed the object{where}; it was {off} off its path by the close, and on its path it could be lifted"
-    if cause.failure_class == "timing":
-        shift = cause.shift_s or 0.0
-        if close_ns is None:
-            good = trial.pairs[-1][0] + round(shift * 1e9)
-            return said + f"Closing at {at(good)} would have lifted the object"
-        late = "earlier" if shift < 0 else "later"
-        good = close_ns + round(shift * 1e9)
-        return f"{said}The same approach closed {abs(shift):.2f} s {late}, at {at(good)}, lifts the object"
-    if not facts.curve:
-        return said + "The hand was never near the object"
-    pushed = (
-        f", not even without the push of {facts.displacement_m * 1000:.0f} mm"
-        if facts.displacement_m > 0.005
-        else ""
-    )
-    how = "was not in the grasp" if cause.sub_cause == "missed" else "was lifted and slipped"
-    return f"{said}The object {how}; no close from {facts.curve[0][0]:+.1f} s to {facts.curve[-1][0]:+.1f} s lifts it{pushed}"
+
+
+def fields_of(times: Times, decision: Decision, link: str | None) -> dict[str, str | float]:
+    """What a sub-cause's sentence may name.
+
+    link, pushed_at (" at 1.23 s" or empty), off_mm, off_deg: off the undisturbed path before the
+    close. shift_s, direction, good_at: how much earlier or later a close would have worked, and
+    when. first_s, last_s: range of the closes that were tried. pushed_too: a push that did not
+    decide.
+    """
+    assert not isinstance(decision.answer, Unknown)
+    facts = decision.chosen[0].facts
+    shift = decision.answer.shift_s or 0.0
+    out: dict[str, str | float] = {
+        "link": link or "the hand",
+        "pushed_at": "" if times.pushed_ns is None else f" at {times.text(times.pushed_ns)}",
+        "off_mm": facts.displacement_m * 1000,
+        "off_deg": facts.displacement_deg,
+        "shift_s": abs(shift),
+        "direction": "earlier" if shift < 0 else "later",
+        "good_at": times.text(times.shifted_ns(shift)),
+        "pushed_too": "",
+    }
+    if facts.curve:
+        out.update(first_s=facts.curve[0][0], last_s=facts.curve[-1][0])
+    if facts.displacement_m > PUSHED_TOO_M:
+        millimetres = facts.displacement_m * 1000
+        out["pushed_too"] = f", not even without the push of {millimetres:.0f} mm"
+    return out

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from dgeval.failure_rule import Facts, Needs, Thresholds, Verdict, classify
+from dgeval.failure_rule import Facts, Needs, Thresholds, Unknown, Verdict, classify
 from dgeval.geometry import Array, invert, rotation_vector
 from dgeval.robots.dlr_hit_hand import CLOSE_S
+from dgeval.verdict.decide import Draw
 from dgeval.verdict.evidence import Scene
 from dgeval.worlds.closing import (
     AFTER_CLOSE_S,
@@ -48,24 +49,6 @@ MISMATCH_MOST = (
 )
 ERROR_LEAST_M = 0.001  # of the palm; smaller ones put nothing right
 WORLD_X = 0.5  # where the object stands in the world of `physics.scene`
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What one draw of place, turn and friction says. `reproduced`: the recorded failure happens in it too.
-
-    weight: how well it agrees with the log, against the other draws. restored: of the palm's errors by part, whether the
-    approach without that one alone lifts the object; "all": without any; "goal": of a hand that never closed, whether the
-    grasp it was sent to would have held.
-    """
-
-    verdict: Verdict
-    facts: Facts
-    reproduced: bool
-    weight: float
-    restored: dict[str, bool]
-    t_contact_s: float | None
-    contact_link: str | None
 
 
 @dataclass(frozen=True)
@@ -370,7 +353,7 @@ class Twin:
     def _goal(self) -> dict[str, bool]:
         """Of a hand that never closed, whether the grasp it was sent to would have held."""
         beliefs, end = self.scene.beliefs, self.scene.reference
-        if isinstance(beliefs, str) or beliefs.goal is None or self.scene.close is not None:
+        if isinstance(beliefs, Unknown) or beliefs.goal is None or self.scene.close is not None:
             return {}
         T = beliefs.goal @ invert(self.gripper.T_hand_palm)
         T[:3, 3] += self._shift
@@ -383,12 +366,12 @@ class Twin:
             and self.close(T, self.scene.velocity, self.scene.hand.fingers[end])[0]
         }
 
-    def decide(self, thresholds: Thresholds, reproduced: bool, weight: float) -> Sample:
+    def ask(self, thresholds: Thresholds, reproduced: bool, weight: float) -> Draw:
         """After `approach`: the curve of close times, the rule over it, and the approach without what put the palm off."""
         scene, end, made = self.scene, self.scene.reference, self._approached
         if made is None:
             facts = Facts(scene.close is not None, 0.0, 0.0, (), None, 0.0)
-            return Sample(
+            return Draw(
                 Verdict("imprecise_pose", "missed"),
                 facts,
                 scene.close is None,
@@ -422,7 +405,7 @@ class Twin:
         restored: dict[str, bool] = {}
         if scene.close is None:
             restored = self._goal()
-        elif answer.failure_class != "collision" and not isinstance(scene.beliefs, str):
+        elif answer.failure_class != "collision" and not isinstance(scene.beliefs, Unknown):
             parts = {
                 k: e for k, e in scene.beliefs.errors.items() if np.linalg.norm(e) > ERROR_LEAST_M
             }
@@ -430,7 +413,7 @@ class Twin:
             if len(parts) > 1 and not any(restored.values()):
                 restored["all"] = self.without(np.sum(list(parts.values()), axis=0))
         t_contact = None if contact is None else (contact - end) * CONTROL_S
-        return Sample(answer, facts, reproduced, weight, restored, t_contact, made.link)
+        return Draw(answer, facts, reproduced, weight, restored, t_contact, made.link)
 
     def _earlier(
         self, states: dict[int, Array], first: int, contact: int | None

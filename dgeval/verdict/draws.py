@@ -1,0 +1,103 @@
+"""Draws of what is uncertain, and what an instrument says of each.
+
+Two instruments: the twin (physics), and geometry alone. Over 232 simulated failures the twin has
+macro-F1 0.81 and geometry 0.42 (`benchmarks/results/verdict.md`), so the twin is the default.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgeval.determinism import generator
+from dgeval.failure_rule import HANDED_OVER, Thresholds, Unknown
+from dgeval.verdict.decide import Decision, Draw, Draws, decide, too_uncertain, undecided
+from dgeval.verdict.evidence import Scene
+from dgeval.verdict.geometric import geometric_draw
+from dgeval.verdict.twin import Twin
+from dgeval.worlds.shape import solid_from_cloud
+
+# Development trials: see `decide`.
+NOT_REPRODUCED = (
+    0.3  # weight of a draw in which the recorded failure does not happen; development trials
+)
+PROBES = (
+    12  # draws in which the recorded approach and close are tried, the later half twice as wide
+)
+PROBES_MOST = 30  # draws, where few of them agree with the log
+MOST = 7  # draws that are asked, where fewer do not agree; costs some 1.5 s each
+STRAYED_SD = (
+    0.002  # m; of where the object is while the hand is at it: registration, docs/simulation.md
+)
+SD_LEAST_M, SD_LEAST_DEG = 0.0015, 1.0  # nothing is known better than that (benchmarks.truth)
+SD_MOST_M, SD_MOST_DEG = (
+    0.006,
+    5.0,
+)  # wider draws hardly ever agree with the log; development trials
+SD_FRICTION, SD_MASS = 0.15, 0.7  # of logarithms; household objects have 70 to 900 kg/m^3
+
+
+def decide_scene(
+    scene: Scene, method: str, draws: int, seed: int, least: float
+) -> Decision | Unknown:
+    """Class of a failed grasp: steps 1 to 5 of `decide`, with draws from an instrument.
+
+    method: twin or geometry. least: probability under which the answer is unknown. `Unknown` where
+    the instrument can't be asked at all.
+    """
+    doubt = too_uncertain(scene.sd_m)
+    if doubt is not None:
+        return undecided(doubt.reason, method)
+    made = draws_of(scene, method, draws, seed)
+    return made if isinstance(made, Unknown) else decide(made, least)
+
+
+def draws_of(scene: Scene, method: str, draws: int, seed: int) -> Draws | Unknown:
+    """The draws of an instrument; unknown where the object's cloud makes no solid."""
+    thresholds = HANDED_OVER if scene.held else Thresholds()
+    if method == "geometry":
+        return Draws((geometric_draw(scene, thresholds),), 1.0, method)
+    try:
+        return _twins(scene, draws, seed, thresholds)
+    except ValueError as error:  # a cloud that spans no volume, or that MuJoCo refuses
+        return Unknown(str(error))
+
+
+def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws:
+    """What the draws say that agree best with the log, and the share of all that fail as recorded.
+
+    That it failed is known, and so is how far each finger came when the hand closed: a draw in
+    which it would have held, or in which the fingers meet the object elsewhere, is doubtful. Only
+    the recorded approach is tried for each draw; the questions of the rule are asked of the best
+    ones, of `draws` where these agree, else of up to MOST.
+    """
+    solid = solid_from_cloud(scene.points, held=scene.held)
+    sd_m = float(np.clip(scene.sd_m, SD_LEAST_M, SD_MOST_M))
+    sd_turn = np.radians(float(np.clip(scene.sd_deg, SD_LEAST_DEG, SD_MOST_DEG)))
+    probes: list[tuple[Twin, bool]] = []
+    weights = np.zeros(0)
+    while len(probes) < PROBES or (
+        weights.sum() / weights.max() < draws and len(probes) < PROBES_MOST
+    ):
+        k = len(probes)
+        rng = generator(seed, "verdict", k)
+        wider = 1.0 if k < PROBES // 2 else 2.0
+        dx, dy = rng.normal(0, wider * sd_m, 2)
+        turn = rng.normal(0, wider * sd_turn)
+        friction, mass = np.exp(rng.normal(0, [SD_FRICTION, SD_MASS]))
+        if k == 0:  # the first draw is the best guess
+            dx, dy, turn, friction, mass = 0.0, 0.0, 0.0, 1.0, 1.0
+        offset = (float(dx), float(dy), float(turn))
+        twin = Twin(scene, solid, offset, float(friction), float(mass))
+        probes.append((twin, twin.approach()))
+        off = np.array(
+            [[t.mismatch / scene.gripper.mismatch_sd, t.strayed / STRAYED_SD] for t, _ in probes]
+        )
+        fit = np.exp(-0.5 * ((off - off.min(axis=0)) ** 2).sum(axis=1))
+        weights = fit * [1.0 if reproduced else NOT_REPRODUCED for _, reproduced in probes]
+    asked: list[Draw] = []
+    for k in sorted(range(len(probes)), key=lambda k: -weights[k])[: max(MOST, draws)]:
+        twin, reproduced = probes[k]
+        asked.append(twin.ask(thresholds, reproduced, float(weights[k] / weights.max())))
+        if len(asked) >= draws and len({d.verdict.failure_class for d in asked}) == 1:
+            break
+    return Draws(tuple(asked), sum(reproduced for _, reproduced in probes) / len(probes), "twin")

@@ -1,0 +1,65 @@
+"""The failure rule by geometry alone: a close works where the object's middle lies in the grasp.
+
+It is the yardstick that the twin is held against, and runs where MuJoCo does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dgeval.failure_rule import Facts, Needs, Thresholds, Verdict, classify
+from dgeval.geometry import Array, rotation_angle
+from dgeval.verdict.decide import Draw
+from dgeval.verdict.evidence import Scene
+from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S
+
+REACH_M = 0.035  # m; object's middle from the hand's grasp centre, within which a close works
+NEAR_M = 0.15  # m; farther than this from its grasp centre a hand pushes nothing
+
+
+def geometric_draw(scene: Scene, thresholds: Thresholds) -> Draw:
+    """The same rule with 'the object's middle lies where the hand closes' in place of 'closing and lifting works'."""
+    end = scene.reference
+    centre = (scene.points.min(axis=0) + scene.points.max(axis=0)) / 2
+    T = scene.hand.T_support_hand
+    places = np.array([T[k][:3, :3] @ scene.gripper.centre + T[k][:3, 3] for k in range(end + 1)])
+    free = centre + scene.free[: end + 1]
+    real = free.copy()
+    off = np.zeros((end + 1, 2))
+    last: Array | None = None
+    for k in range(end + 1):
+        if np.isfinite(scene.seen[k, 0, 0]):
+            last = scene.seen[k]
+            real_now = last[:3, :3] @ centre + last[:3, 3]
+            if np.linalg.norm(places[k] - real_now) < NEAR_M:
+                off[k] = (
+                    np.linalg.norm(real_now - free[k]),
+                    np.degrees(rotation_angle(last[:3, :3])),
+                )
+            held = real_now - free[k]
+        real[k] = free[k] + (held if last is not None else 0.0)
+    works = np.linalg.norm(places - real, axis=1) < REACH_M
+    velocity = (places[end] - places[max(end - 5, 0)]) / (5 * CONTROL_S)
+    curve = [
+        ((k - end) * CONTROL_S, bool(works[k]))
+        for k in range(end % 3, end + 1, 3)
+        if k != end or scene.close is None
+    ]
+    if scene.close is not None:
+        curve.append((0.0, False))
+        for k in range(3, round(AFTER_CLOSE_S / CONTROL_S) + 1, 3):
+            dt = k * CONTROL_S
+            gap = places[end] + velocity * dt - real[end] - scene.velocity * dt
+            curve.append((dt, bool(np.linalg.norm(gap) < REACH_M)))
+    pushed = np.flatnonzero((off[:, 0] > 0.003) | (off[:, 1] > 3.0))
+    facts = Facts(
+        scene.close is not None, float(np.sort(off[:, 0])[-3:].min()), float(np.sort(off[:, 1])[-3:].min()), tuple(curve),
+        float((pushed[0] - end) * CONTROL_S) if len(pushed) else None, 0.0,
+    )  # fmt: skip
+    while isinstance(answer := classify(facts, thresholds), Needs):
+        ok = bool(np.linalg.norm(places[end] - free[end]) < REACH_M)
+        facts = replace(facts, put_back=ok, free_pose=ok)
+    assert isinstance(answer, Verdict)
+    return Draw(answer, facts, True, 1.0, {}, facts.contact_s, None)
