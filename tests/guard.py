@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import io
 import json
 import math
 import re
@@ -130,7 +131,9 @@ def replayed(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
         text = (work / f"report-{arm}" / "report.md").read_text().replace(str(work), "")
         yield f"report/{arm}/numbers", re.findall(r"[-+]?\d+(?:\.\d+)?", text)
         yield f"report/{arm}/text", [line + " " for line in text.splitlines()]
-        yield f"report/{arm}/csv", of_table(pd.read_csv(work / f"report-{arm}" / "trials.csv"))
+        text = (work / f"report-{arm}" / "trials.csv").read_text().replace(str(work), "")
+        csv = pd.read_csv(io.StringIO(text))
+        yield f"report/{arm}/csv", of_table(csv)
 
 
 def judged(work: Path, few: bool) -> Iterator[tuple[str, Any]]:

@@ -16,18 +16,13 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, matrix_from_pose
-from dgeval.robots.dlr_hit_hand import (
-    ACTUATED,
-    CLOSE_S,
-    RADIUS,
-    T_hand_palm,
-    finger_targets,
-    quat_wxyz,
-)
-from dgeval.worlds.closing import LIFT_HEIGHT, LIFT_S, SETTLE_S, swing
+from dgeval.robots.hand import hand_for
+from dgeval.robots.mjcf import quat_wxyz
+from dgeval.worlds.closing import CLOSE_S, LIFT_HEIGHT, LIFT_S, SETTLE_S, swing
 from dgeval.worlds.objects import ObjectModel, at
 from dgeval.worlds.scene import TIMESTEP, build
 
+HAND = hand_for("ffhnet")
 REPETITIONS = 6
 SHAKE = 2 * 2 * 9.81 / (2 * np.pi * 5.0) ** 2  # m, to and fro: 2 g at 5 Hz
 
@@ -60,21 +55,13 @@ class FlyingHand:
     """A world with the hand on a handle over a resting object."""
 
     def __init__(self, thing: ObjectModel) -> None:
-        self.model = build(thing, robot="hand")
+        self.model = build(thing, robot="hand", gripper=HAND)
         self.data = mujoco.MjData(self.model)
         self.rest = thing.rest_height()
         self._object = self.model.joint("object").qposadr[0]
         self._hand = self.model.joint("hand").qposadr[0]
-        joints = [self.model.joint(name) for name in ACTUATED]
-        self._fingers = np.array([j.qposadr[0] for j in joints])
-        self._coupled = np.array(
-            [
-                self.model.joint(f"{name[:-1]}3").qposadr[0]
-                for name in ACTUATED
-                if name.endswith("2")
-            ]
-        )
-        self._drives = np.array([self.model.actuator(name).id for name in ACTUATED])
+        self._fingers = np.array([self.model.joint(name).qposadr[0] for name in HAND.joints])
+        self._drives = np.array([self.model.actuator(name).id for name in HAND.drives])
         kinds = [
             (self.model.geom(i).contype[0], self.model.geom(i).type[0])
             for i in range(self.model.ngeom)
@@ -97,8 +84,7 @@ class FlyingHand:
         d.qpos[self._hand : self._hand + 3] = T_base_hand[:3, 3]
         d.qpos[self._hand + 3 : self._hand + 7] = quat_wxyz(T_base_hand[:3, :3])
         d.mocap_pos[0], d.mocap_quat[0] = T_base_hand[:3, 3], quat_wxyz(T_base_hand[:3, :3])
-        d.qpos[self._fingers] = preshape
-        d.qpos[self._coupled] = preshape[2::3]
+        d.qpos[self._fingers] = HAND.positions(preshape)
         d.ctrl[self._drives] = preshape
         mujoco.mj_kinematics(m, d)
         mujoco.mj_comPos(m, d)
@@ -106,7 +92,7 @@ class FlyingHand:
 
     def put_palm(self, T_object_palm: Array, preshape: Array) -> None:
         """`put`, by a palm pose in the object's frame."""
-        self.put(at(0.5, 0.0, self.rest) @ T_object_palm @ invert(T_hand_palm), preshape)
+        self.put(at(0.5, 0.0, self.rest) @ T_object_palm @ invert(HAND.T_hand_palm), preshape)
 
     def touches(self) -> bool:
         """Whether the hand overlaps anything."""
@@ -119,7 +105,11 @@ class FlyingHand:
             self.data.geom_xpos[self._capsules],
             self.data.geom_xmat[self._capsules].reshape(-1, 3, 3)[:, :, 2],
         )
-        z = ends[0][:, 2] - np.abs(ends[1][:, 2]) * self.model.geom_size[self._capsules, 1] - RADIUS
+        z = (
+            ends[0][:, 2]
+            - np.abs(ends[1][:, 2]) * self.model.geom_size[self._capsules, 1]
+            - self.model.geom_size[self._capsules, 0]
+        )
         return float(z.min())
 
     def overlap(self, anything: bool = False) -> float:
@@ -140,7 +130,7 @@ class FlyingHand:
             t = k * TIMESTEP
             if shake and t > lifted:
                 d.mocap_pos[0, :2] = start[:2] + swing(t - lifted, SHAKE)
-            d.ctrl[self._drives] = finger_targets(t, preshape)
+            d.ctrl[self._drives] = HAND.targets(t, preshape)
             rise = float(np.clip((t - CLOSE_S - SETTLE_S) / LIFT_S, 0, 1))
             d.mocap_pos[0, 2] = start[2] + LIFT_HEIGHT * rise * rise * (3 - 2 * rise)
             mujoco.mj_step(m, d)
@@ -173,10 +163,7 @@ def candidate(rng: np.random.Generator, thing: ObjectModel) -> tuple[Array, Arra
     )
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, centre - R @ inside
-    preshape = np.zeros(15)
-    preshape[1::3], preshape[2::3] = rng.uniform(0.0, 0.6), rng.uniform(0.1, 0.6)
-    preshape[1] = rng.uniform(0.0, 0.2)  # the thumb stays open
-    return T, preshape
+    return T, HAND.random_preshape(rng)
 
 
 def search(thing: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[KnownGrasp]:
@@ -205,7 +192,7 @@ def search(thing: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[
             lifted += not world.touches() and world.lifts(preshape)
         if lifted / REPETITIONS >= 0.66:
             found.append(
-                KnownGrasp(T_object_base @ T @ T_hand_palm, preshape, lifted / REPETITIONS)
+                KnownGrasp(T_object_base @ T @ HAND.T_hand_palm, preshape, lifted / REPETITIONS)
             )
             if len(found) == n:
                 break

@@ -8,19 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
-from dgeval.robots.dlr_hit_hand import quat_wxyz
-from dgeval.robots.parallel_jaw import (
-    CLOSE_S,
-    JOINT_NAMES,
-    OPEN,
-    OPENING,
-    T_hand_grasp,
-    finger_targets,
-)
+from dgeval.robots.hand import hand_for
+from dgeval.robots.mjcf import quat_wxyz
 from dgeval.worlds.closing import swing
 from dgeval.worlds.objects import ObjectModel, at, surface_points
 from dgeval.worlds.scene import TIMESTEP, Camera, build
 
+HAND = hand_for("vfas")
+OPENING = HAND.opening or 0.0  # m between the pads
 PREGRASP_M = 0.10  # m before the grasp along its approach; ours, the paper gives no figure
 LIFT_M, LIFT_S, HOLD_S = 0.10, 0.5, 0.3
 SHAKE_M = 0.02  # m, to and fro at 5 Hz: 1 g
@@ -33,7 +28,7 @@ class FlyingJaw:
         self, thing: ObjectModel, other: ObjectModel, cameras: tuple[Camera, ...] = ()
     ) -> None:
         self.thing, self.other = thing, other
-        self.model = build(thing, robot="hand", cameras=cameras, gripper="jaw", others=(other,))
+        self.model = build(thing, robot="hand", cameras=cameras, gripper=HAND, others=(other,))
         self.data = mujoco.MjData(self.model)
         m = self.model
         geoms = [(g, m.geom(g)) for g in range(m.ngeom)]
@@ -41,16 +36,16 @@ class FlyingJaw:
         self._of_table = np.array([g.name == "belt" for _, g in geoms])
         self._at = {
             name: int(m.joint(name).qposadr[0])
-            for name in ("object", "other_0", "hand", *JOINT_NAMES)
+            for name in ("object", "other_0", "hand", *HAND.drives)
         }
-        self._drives = [m.actuator(n).id for n in JOINT_NAMES]
+        self._drives = [m.actuator(n).id for n in HAND.drives]
         self.T_base_other = at(3.0, 0, other.rest_height())
 
     def put(self, T_base_grasp: Array) -> None:
         """The open gripper at a pose, both objects at rest."""
         d = self.data
         mujoco.mj_resetData(self.model, d)
-        T = T_base_grasp @ invert(T_hand_grasp)
+        T = T_base_grasp @ invert(HAND.T_hand_palm)
         hand = np.concatenate([T[:3, 3], quat_wxyz(T[:3, :3])])
         d.qpos[self._at["object"] :][:7] = [0.5, 0, self.thing.rest_height(), 1, 0, 0, 0]
         d.qpos[self._at["other_0"] :][:7] = [
@@ -59,8 +54,8 @@ class FlyingJaw:
         ]
         d.qpos[self._at["hand"] :][:7] = hand
         d.mocap_pos[0], d.mocap_quat[0] = hand[:3], hand[3:]
-        d.qpos[[self._at[n] for n in JOINT_NAMES]] = OPEN
-        d.ctrl[self._drives] = OPEN
+        d.qpos[[self._at[n] for n in HAND.drives]] = HAND.open
+        d.ctrl[self._drives] = HAND.open
         mujoco.mj_kinematics(self.model, d)
         mujoco.mj_comPos(self.model, d)
         mujoco.mj_collision(self.model, d)
@@ -88,11 +83,11 @@ class FlyingJaw:
         m, d = self.model, self.data
         start = d.mocap_pos[0].copy()
         low = d.qpos[self._at["object"] + 2]
-        lifted = CLOSE_S + LIFT_S
+        lifted = HAND.close_s + LIFT_S
         for k in range(round((lifted + HOLD_S) / TIMESTEP)):
             t = k * TIMESTEP
-            d.ctrl[self._drives] = finger_targets(t, OPEN)
-            rise = float(np.clip((t - CLOSE_S) / LIFT_S, 0, 1))
+            d.ctrl[self._drives] = HAND.targets(t, HAND.open)
+            rise = float(np.clip((t - HAND.close_s) / LIFT_S, 0, 1))
             d.mocap_pos[0, 2] = start[2] + LIFT_M * rise * rise * (3 - 2 * rise)
             if t > lifted:
                 d.mocap_pos[0, :2] = start[:2] + swing(t - lifted, SHAKE_M)

@@ -11,10 +11,10 @@ import numpy as np
 from dgeval.geometry import Array, transform
 from dgeval.robots.diana7 import DAMPING, STIFFNESS, ArmKinematics
 from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
-from dgeval.robots.dlr_hit_hand import CLOSE_S, T_hand_palm
-from dgeval.robots.hand import FIVE_FINGERS, Gripper
+from dgeval.robots.hand import Hand
 from dgeval.simulation.setting import Setting, present
 from dgeval.worlds.closing import (
+    CLOSE_S,
     CONTROL_S,
     LIFT_S,
     MAX_FROM_HAND,
@@ -50,7 +50,8 @@ class World:
         belt_speed: float,
         cameras: tuple[Camera, ...] = (),
         setting: Setting | None = None,
-        gripper: Gripper = FIVE_FINGERS,
+        *,
+        gripper: Hand,
     ) -> None:
         self.thing, self.gripper, self.setting = thing, gripper, setting or Setting()
         self.presenter = self.setting.presenter
@@ -277,11 +278,11 @@ def _built(
     robot: Literal["arm", "none"],
     cameras: tuple[Camera, ...],
     setting: Setting,
-    g: Gripper,
+    gripper: Hand | None,
 ) -> mujoco.MjModel:
     others = tuple(o[0] for o in setting.others)
     presented, turntable = setting.presenter is not None, setting.turn is not None
-    return build(thing, belt_speed, robot, cameras, presented, g.name, others, turntable)
+    return build(thing, belt_speed, robot, cameras, presented, gripper, others, turntable)
 
 
 def twin_path(
@@ -296,7 +297,7 @@ def twin_path(
     """The object without any robot: rows (pose 7, velocity 6) in MuJoCo's order, one per control period from t = 0."""
     setting = setting or Setting()
     presenter = setting.presenter
-    model = _built(thing, belt_speed, "none", (), setting, FIVE_FINGERS)
+    model = _built(thing, belt_speed, "none", (), setting, None)
     data = mujoco.MjData(model)
     z = thing.rest_height() + (TURNTABLE_TOP if setting.turn is not None else 0.0)
     data.qpos[:7] = [x, y, z, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
@@ -323,13 +324,13 @@ def matrix_of(pose_wxyz: Array) -> Array:
     return T
 
 
-def home(kinematics: ArmKinematics, y: float, height: float = 0.54) -> Array:
+def home(world: World, y: float, height: float = 0.54) -> Array:
     """Arm joints (7,) with the hand over the belt pointing straight down, its palm normal along base +x."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[:3, 3] = (0.36, y, height)
     turn = np.arctan2(y, 0.45)
-    q, residual = kinematics.solve(
-        T @ T_hand_palm, np.array([turn, -0.37, 0.0, 2.32, 0.0, -1.19, -turn])
+    q, residual = world.kinematics.solve(
+        T @ world.gripper.T_hand_palm, np.array([turn, -0.37, 0.0, 2.32, 0.0, -1.19, -turn])
     )
     if residual > 1e-4:
         raise ValueError(f"the arm does not reach its home over y = {y} m")

@@ -30,10 +30,12 @@ from dgeval.planning.grasps import (
     propose,
 )
 from dgeval.recording.containers.container import sha256_of
-from dgeval.robots.dlr_hit_hand import T_hand_palm
+from dgeval.robots.hand import hand_for
 from dgeval.simulation.grasps import FlyingHand, candidate
 from dgeval.training.views import cloud_of, views_of
 from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_points
+
+HAND = hand_for("ffhnet")
 
 VERSION = 2  # of what is drawn below: files of another one are made again
 NOISE_SCALES = (
@@ -110,7 +112,7 @@ def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
         if not world.touches():
             attempt(T, preshape)
     return GraspData(
-        np.array([T_object_base @ T @ T_hand_palm for T, _, _, _ in rows]),
+        np.array([T_object_base @ T @ HAND.T_hand_palm for T, _, _, _ in rows]),
         np.array([p for _, p, _, _ in rows]),
         np.array([h for _, _, h, _ in rows]),
         np.array([o for _, _, _, o in rows]),

@@ -13,11 +13,11 @@ import numpy as np
 
 from dgeval.failure_rule import Facts, Needs, Thresholds, Unknown, Verdict, classify
 from dgeval.geometry import Array, invert, rotation_vector
-from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.verdict.decide import Draw
 from dgeval.verdict.evidence import Scene
 from dgeval.worlds.closing import (
     AFTER_CLOSE_S,
+    CLOSE_S,
     CONTROL_S,
     LIFT_S,
     MAX_FROM_HAND,
@@ -77,9 +77,7 @@ class Twin:
         self.thing, centre = replace(solid[0], mass=solid[0].mass * mass), solid[1]
         self.gripper = scene.gripper
         speed = 0.0 if scene.held else float(scene.velocity[1])
-        self.model = build(
-            self.thing, speed, "hand", presented=scene.held, gripper=self.gripper.name
-        )
+        self.model = build(self.thing, speed, "hand", presented=scene.held, gripper=self.gripper)
         m = self.model
         parts = [g for g in range(m.ngeom) if m.geom(g).name.startswith("object_")]
         m.geom_friction[parts, 0] *= friction

@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 from dgeval.failure_rule import HANDED_OVER, Facts, FailureClass, SubCause, Thresholds, Verdict
 from dgeval.geometry import Array
-from dgeval.robots.hand import FIVE_FINGERS, JAW, Gripper
+from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
+from dgeval.robots.hand import Hand
+from dgeval.robots.parallel_jaw import HAND as JAW
 from dgeval.verdict.decide import CLASSES, Cause, cause_of
 from dgeval.verdict.evidence import HandMotion, Scene
 from dgeval.verdict.twin import Sample
@@ -414,7 +416,7 @@ def test_the_draws_that_agree_best_are_asked_first(physics: Replace) -> None:
     ],
 )
 def test_what_a_draw_weighs(
-    physics: Replace, gripper: Gripper, mismatch: float, strayed: float, weight: float
+    physics: Replace, gripper: Hand, mismatch: float, strayed: float, weight: float
 ) -> None:
     """Catches a standard deviation of the other hand, and two disagreements that don't add up."""
     twin = physics(*[Draw()] * 6, Draw(mismatch=mismatch, strayed=strayed))
