@@ -80,7 +80,10 @@ def main() -> None:
             f"The {len(clean)} trials without an injected fault:",
             rates(clean, paper, "object"),
         ]
-    command = f"python -m benchmarks.closed_loop {options.scenario} --trials {trials} --seed {options.seed}"
+    command = (
+        f"python -m benchmarks.closed_loop {options.scenario} --trials {trials} --seed "
+        f"{options.seed}"
+    )
     name = f"closed-loop-{options.scenario}"
     if options.faultless:
         name, command = f"{name}-faultless", f"{command} --faultless"

@@ -187,8 +187,9 @@ def main() -> None:
             for t in things
         ]
     parts += [
-        "Best-scored of 256 grasps tried in physics: closed, lifted, shaken with 2 g; one deeper than 4 mm in object or table "
-        "counts as failed. `free`: the best of those that are not, as far as cloud and support tell.",
+        "Best-scored of 256 grasps tried in physics: closed, lifted, shaken with 2 g; one deeper "
+        "than 4 mm in object or table counts as failed. `free`: the best of those that are not, as "
+        "far as cloud and support tell.",
         table(["objects", "grasp by", "held"], rows),
         table(["object", "single view, best free", "fused, best free"], by_object),
     ]
@@ -198,8 +199,9 @@ def main() -> None:
     found_scores = scores_of(p, held.numpy() > 0.5)
     reliability(p, held.numpy(), RESULTS / "ffhnet-reliability.svg")
     parts += [
-        f"The evaluator on {len(held)} tried grasps of nine unseen objects: of 256 candidates that are free, the four "
-        "best and four at random, of ten views each (plot: ffhnet-reliability.svg).",
+        f"The evaluator on {len(held)} tried grasps of nine unseen objects: of 256 candidates that "
+        "are free, the four best and four at random, of ten views each (plot: "
+        "ffhnet-reliability.svg).",
         table(
             ["ROC-AUC", "Brier", "ECE", "share that held"],
             [[f"{found_scores[k]:.3f}" for k in ("auc", "brier", "ece", "held")]],

@@ -121,12 +121,14 @@ def of_replays(folders: list[Path], runs: int) -> list[str]:
             row.append(f"{100 * np.mean(found):.0f} %")
         powers.append(row)
     return [
-        f"Real replays: {pool.shape[1]} recordings, each with {pool.shape[0]} seeds. Spread between seeds in units of what is "
-        "relevant, and how often two seeds differ at all.",
+        f"Real replays: {pool.shape[1]} recordings, each with {pool.shape[0]} seeds. Spread "
+        "between seeds in units of what is relevant, and how often two seeds differ at all.",
         table(["metric", "spread", "differs"], noises),
-        "A/A resamplings of these replays: false alarms, and how often no metric was left inconclusive.",
+        "A/A resamplings of these replays: false alarms, and how often no metric was left "
+        "inconclusive.",
         table(["trials", "false alarms", "95 % interval", "conclusive"], alarms),
-        "Called worse where a metric gets worse by twice what is relevant, under the replays' noise.",
+        "Called worse where a metric gets worse by twice what is relevant, under the replays' "
+        "noise.",
         table(["metric", *(f"{n} trials" for n in SIZES)], powers),
     ]
 
@@ -176,16 +178,20 @@ def main() -> None:
     RESULTS.mkdir(exist_ok=True)
     figure.savefig(RESULTS / "gate-power.png", dpi=110, metadata={"Software": None})
     parts = [
-        f"A/A resamplings in which any of {len(METRICS)} metrics is called worse or better; stated level {100 * ALPHA:.0f} %. "
-        "Noise in units of what is relevant.",
+        f"A/A resamplings in which any of {len(METRICS)} metrics is called worse or better; stated "
+        f"level {100 * ALPHA:.0f} %. Noise in units of what is relevant.",
         table(["noise", "trials", "false alarms", "95 % interval"], rows),
-        "Share of resamplings in which the metric that got worse is called worse, by effect (noise 3). Plot: gate-power.png.",
+        "Share of resamplings in which the metric that got worse is called worse, by effect (noise "
+        "3). Plot: gate-power.png.",
         table(["trials", *(f"{e:g}" for e in effects)], powers),
     ]
     command = f"python -m benchmarks.gate --runs {options.runs}"
     if options.replays:
         parts = of_replays(options.replays, options.runs) + parts
-        command += f" --replays …  ({len(options.replays)} × dgeval replay datasets/ci-smoke/ci-smoke.toml --set seed=K)"
+        command += (
+            f" --replays …  ({len(options.replays)} × dgeval replay "
+            "datasets/ci-smoke/ci-smoke.toml --set seed=K)"
+        )
     print(
         write("gate", "False alarms and power of the gate", command, parts).read_text(
             encoding="utf-8"

@@ -33,12 +33,34 @@ from benchmarks.still_floor import apparent_speed
 
 Box = tuple[float, float, float, float]
 HEAD = (
-    "variant", "frames", "tracked", "lost", "predicted", "with velocity", "RMSE, all", "RMSE, after 1 s", "median, after 1 s",
-    "velocity_sd", "within 95 %", "lag to 90 %, s", "drift p95, mm", "gap: predicted / said, mm", "accepted again after, s",
-)  # fmt: skip
+    "variant",
+    "frames",
+    "tracked",
+    "lost",
+    "predicted",
+    "with velocity",
+    "RMSE, all",
+    "RMSE, after 1 s",
+    "median, after 1 s",
+    "velocity_sd",
+    "within 95 %",
+    "lag to 90 %, s",
+    "drift p95, mm",
+    "gap: predicted / said, mm",
+    "accepted again after, s",
+)
 HEAD_TRUTH = (
-    "recording", "frames", "lost", "predicted", "mm median", "mm p95", "deg median", "deg p95", "IoU median", "IoU p5",
-)  # fmt: skip
+    "recording",
+    "frames",
+    "lost",
+    "predicted",
+    "mm median",
+    "mm p95",
+    "deg median",
+    "deg p95",
+    "IoU median",
+    "IoU p5",
+)
 # Kitchen recording: its depth is not registered to colour (fitted: focal 525 px, 25 mm). The patterned mug lies wholly
 # within both cameras from frame 82 on; the chair is a larger target, seen over the table's edge.
 KITCHEN = "kitchen_mug_mcap"
@@ -59,9 +81,14 @@ def replayed(path: Path, box: Box, config: Config, folder: Path) -> pd.DataFrame
 
 
 def variants(
-    source: Trial, box: Box, config: Config, folder: Path, passes: int = 1, colour_camera: ColourCamera | None = None,
+    source: Trial,
+    box: Box,
+    config: Config,
+    folder: Path,
+    passes: int = 1,
+    colour_camera: ColourCamera | None = None,
     direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
-) -> list[list[str]]:  # fmt: skip
+) -> list[list[str]]:
     """One row of HEAD per variant of a source in which the object in the box stands still."""
     rows = []
     pivot = (0.0, 0.0, 0.0)
@@ -103,11 +130,22 @@ def _row(
         predicted, said, wait = measure.gap(frames, written)
         gap, again = f"{n(predicted)} / {n(said)}", n(wait, 2) if np.isfinite(wait) else "never"
     return [
-        label, str(len(frames)), str(tracking.get("tracked", 0)), str(tracking.get("lost", 0)), str(frames["predicted"].sum()),
-        str(v.known), n(v.rmse_all), n(v.rmse), n(v.median), n(v.sd), f"{n(100 * v.coverage, 0)} %",
+        label,
+        str(len(frames)),
+        str(tracking.get("tracked", 0)),
+        str(tracking.get("lost", 0)),
+        str(frames["predicted"].sum()),
+        str(v.known),
+        n(v.rmse_all),
+        n(v.rmse),
+        n(v.median),
+        n(v.sd),
+        f"{n(100 * v.coverage, 0)} %",
         "not reached" if np.isinf(v.lag_s) else n(v.lag_s, 2),
-        n(measure.drift(frames, written)) if with_pose else "–", gap, again,
-    ]  # fmt: skip
+        n(measure.drift(frames, written)) if with_pose else "–",
+        gap,
+        again,
+    ]
 
 
 def _truth_row(label: str, frames: pd.DataFrame, truth: synthetic.Truth) -> list[str]:
@@ -164,7 +202,10 @@ def made_recordings(config: Config, folder: Path, n: int) -> list[str]:
     sections.append(
         "## Made recording: pose and box against exact truth\n\n" + result.table(HEAD_TRUTH, rows)
     )
-    text = "Velocity errors in mm/s. The still box set moving by changed camera poses, and the box that really slides:"
+    text = (
+        "Velocity errors in mm/s. The still box set moving by changed camera poses, and the box "
+        "that really slides:"
+    )
     sections.append(
         f"## Made recording: velocity\n\n{text}\n\n{result.table(HEAD, [*base_rows, sliding])}"
     )
@@ -201,7 +242,8 @@ def main() -> None:
         sources = _real(args)
         if not sources:
             parts.append(
-                "## Real pixels\n\nNot measured: DGEVAL_REAL_DATA names no folder and no --source was given."
+                "## Real pixels\n\nNot measured: DGEVAL_REAL_DATA names no folder and no --source "
+                "was given."
             )
         for real in sources:
             source = open_trial(TrialSpec("real", real.path, frames=real.cut), config)
@@ -235,7 +277,10 @@ class Real:
 
     def title(self) -> str:
         span = f"frames {self.cut[0]}:{self.cut[1]}" if self.cut else "all frames"
-        how = f"{self.name} of {self.path.name}, {span}, {self.passes} pass(es), box {','.join(f'{v:g}' for v in self.box)}"
+        how = (
+            f"{self.name} of {self.path.name}, {span}, {self.passes} pass(es), box "
+            f"{','.join(f'{v:g}' for v in self.box)}"
+        )
         c = self.colour_camera
         return how + (
             f", depth put into the colour camera ({c.focal:g} px, {c.baseline:g} m)" if c else ""
@@ -258,9 +303,9 @@ def _floor(real: Real, config: Config, folder: Path) -> str:
         open_trial(TrialSpec("floor", path), config), np.median(places, axis=0), real.radius
     )
     return (
-        f"Without any tracker, from raw depth and the recorded poses alone, what stands there appears to move at "
-        f"{speed:.1f} mm/s (up to {far:.1f} mm from its place in the middle frame): the recording's own "
-        "error."
+        "Without any tracker, from raw depth and the recorded poses alone, what stands there "
+        f"appears to move at {speed:.1f} mm/s (up to {far:.1f} mm from its place in the middle "
+        "frame): the recording's own error."
     )
 
 

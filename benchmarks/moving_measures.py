@@ -47,9 +47,14 @@ def velocity(frames: pd.DataFrame, written: Written, truth: Array) -> Velocity:
     sd = frames["velocity_sd"].to_numpy(dtype=float) * 1e3
     inside = error[settled] ** 2 / sd[settled] ** 2 < chi2.ppf(0.95, 3)
     return Velocity(
-        int(known.sum()), _median(sd[settled]), _rms(error[known]), _rms(error[settled]), _median(error[settled]),
-        float(inside.mean()) if settled.any() else float("nan"), _lag(estimate, truth, written),
-    )  # fmt: skip
+        int(known.sum()),
+        _median(sd[settled]),
+        _rms(error[known]),
+        _rms(error[settled]),
+        _median(error[settled]),
+        float(inside.mean()) if settled.any() else float("nan"),
+        _lag(estimate, truth, written),
+    )
 
 
 def _lag(estimate: Array, truth: Array, written: Written) -> float:

@@ -134,9 +134,15 @@ def raw_depth_message(t_ns: int, frame_id: str, millimetres: Any) -> Any:
     height, width = millimetres.shape
     data = np.ascontiguousarray(millimetres, dtype="<u2").view(np.uint8).ravel()
     return message(
-        "sensor_msgs/Image", header=header(t_ns, frame_id), height=height, width=width, encoding="16UC1", is_bigendian=0,
-        step=2 * width, data=data,
-    )  # fmt: skip
+        "sensor_msgs/Image",
+        header=header(t_ns, frame_id),
+        height=height,
+        width=width,
+        encoding="16UC1",
+        is_bigendian=0,
+        step=2 * width,
+        data=data,
+    )
 
 
 def _restamped(value: Any, t_ns: int) -> Any:

@@ -109,10 +109,14 @@ def first_model(draws: int) -> str:
                 )
                 fits.append(fit(case, model, "small_gicp", case.truth))
             row.append(
-                f"{sum(f.reason is not None for f in fits)} of {len(fits)} ({np.median([f.fitness for f in fits]):.2f})"
+                f"{sum(f.reason is not None for f in fits)} of {len(fits)} "
+                f"({np.median([f.fitness for f in fits]):.2f})"
             )
         rows.append(row)
-    text = "True pose seen again from the same view with new noise, started at the truth: refused (median gate fitness)."
+    text = (
+        "True pose seen again from the same view with new noise, started at the truth: refused "
+        "(median gate fitness)."
+    )
     return f"## Second frame\n\n{text}\n\n" + result.table(
         ["box", *(f"{d:g} m" for d in scenes.RANGES)], rows
     )
@@ -196,13 +200,17 @@ def measured(draws: int, progress: Callable[[str], None]) -> list[str]:
                     if kind == "true pose":
                         times[method] += [f.seconds * 1e3 for f in fits]
                         row.append(
-                            f"{quantiles([f.mm for f in fits], 1)}; {quantiles([f.deg for f in fits], 1)}"
+                            f"{quantiles([f.mm for f in fits], 1)}; "
+                            f"{quantiles([f.deg for f in fits], 1)}"
                         )
             accuracy.append(row)
     for method in METHODS:
         for distance in scenes.RANGES:
             true = [f for _, f in pooled[method, distance, "true pose"]]
-            rejects = f"{sum(f.reason is not None for f in true)} of {len(true)} ({np.min([f.fitness for f in true]):.2f})"
+            rejects = (
+                f"{sum(f.reason is not None for f in true)} of {len(true)} "
+                f"({np.min([f.fitness for f in true]):.2f})"
+            )
             gates.append(
                 [
                     method,
@@ -222,17 +230,19 @@ def measured(draws: int, progress: Callable[[str], None]) -> list[str]:
         )
     speed = [[m, quantiles(t, 1)] for m, t in times.items()]
     return [
-        f"## Accuracy\n\nmm median / p95; deg median / p95; started {START_M * 1e3:g} mm and 2° off; {VIEWS * draws} cases "
-        "per row.\n\n" + result.table(["box", "range, m", *METHODS], accuracy),
-        "## The backend alone\n\nAs above, all boxes, before the refinement on the measured normals that `register` "
-        "adds to each; time of the backend's call.\n\n"
+        f"## Accuracy\n\nmm median / p95; deg median / p95; started {START_M * 1e3:g} mm and 2° "
+        f"off; {VIEWS * draws} cases per row.\n\n"
+        + result.table(["box", "range, m", *METHODS], accuracy),
+        "## The backend alone\n\nAs above, all boxes, before the refinement on the measured "
+        "normals that `register` adds to each; time of the backend's call.\n\n"
         + result.table(["method", *(f"{d:g} m" for d in scenes.RANGES), "ms"], before),
         "## Time per call of `register`, one thread\n\nms, median / p95, fitness included.\n\n"
         + result.table(["method", "ms"], speed),
-        "## Gate\n\nFalse rejects: true poses refused (least gate fitness). Moved boxes, registration started where the box "
-        f"was: poses found within {WRONG_MM:g} mm and {WRONG_DEG:g}°; then of the wrong ones how many have more than 0.8 of "
-        "their points matched within the search radius of 20 mm → pass the gate's own fitness → pass the whole gate (with "
-        "the motion limits, 1/30 s).\n\n"
+        "## Gate\n\nFalse rejects: true poses refused (least gate fitness). Moved boxes, "
+        f"registration started where the box was: poses found within {WRONG_MM:g} mm and "
+        f"{WRONG_DEG:g}°; then of the wrong ones how many have more than 0.8 of their points "
+        "matched within the search radius of 20 mm → pass the gate's own fitness → pass the whole "
+        "gate (with the motion limits, 1/30 s).\n\n"
         + result.table(["method", "range, m", "false rejects", *MOVED], gates),
     ]
 
@@ -242,7 +252,10 @@ def _moved_cell(fits: list[tuple[str, Fit]]) -> str:
     least = RegistrationConfig().c_a_f
     off = [(box, f) for box, f in fits if f.mm > WRONG_MM or f.deg > WRONG_DEG]
     through = [box for box, f in off if f.reason is None]
-    counts = f"{sum(f.wide_fitness > least for _, f in off)} → {sum(f.fitness > least for _, f in off)} → {len(through)}"
+    counts = (
+        f"{sum(f.wide_fitness > least for _, f in off)} → {sum(f.fitness > least for _, f in off)} "
+        f"→ {len(through)}"
+    )
     names = ", ".join(f"{through.count(b)} {b.split(' ')[0]}" for b in sorted(set(through)))
     return f"{len(fits) - len(off)} right; {counts}" + (f" ({names})" if names else "")
 
@@ -254,8 +267,12 @@ def poses_digest(backend: str, repeats: int) -> str:
     digest = hashlib.sha256()
     config = RegistrationConfig(method=backend)
     for case in cases(half, 0.5, 1, 1):
-        all_ = {register(case.observation, model, case.start, None, scenes.FULL, config).T_camera_model.tobytes()
-                for _ in range(repeats)}  # fmt: skip
+        all_ = {
+            register(
+                case.observation, model, case.start, None, scenes.FULL, config
+            ).T_camera_model.tobytes()
+            for _ in range(repeats)
+        }
         digest.update(b"".join(sorted(all_)))
         if len(all_) > 1:
             return f"{len(all_)} different results in {repeats} repeats"

@@ -28,7 +28,10 @@ def write(
     name: str, title: str, command: str, parts: Sequence[str], folder: Path = RESULTS
 ) -> Path:
     """results/NAME.md: title, how it was made, the parts."""
-    made = f"Made by `{command}` with dgeval {dgeval.__version__} (sources {source_digest()}) on {processor()}."
+    made = (
+        f"Made by `{command}` with dgeval {dgeval.__version__} (sources {source_digest()}) on "
+        f"{processor()}."
+    )
     path = folder / f"{name}.md"
     folder.mkdir(parents=True, exist_ok=True)
     path.write_text("\n\n".join([f"# {title}", made, *parts]) + "\n", encoding="utf-8")

@@ -38,9 +38,14 @@ INFO_TOPIC = "/camera/color/camera_info"
 HAND_EYE = np.array([0.003, -0.003, 0.0026, *np.radians([0.6, -0.6, 0.5])])  # 5 mm and 1 degree
 DROPPED, LATE_NS = 0.10, 30_000_000
 CHANGES = (
-    "as recorded", "hand-eye off by 5 mm and 1 degree", "depth noise doubled", "10 % of frames dropped", "no efforts",
-    "no beliefs", "depth stamped 30 ms late",
-)  # fmt: skip
+    "as recorded",
+    "hand-eye off by 5 mm and 1 degree",
+    "depth noise doubled",
+    "10 % of frames dropped",
+    "no efforts",
+    "no beliefs",
+    "depth stamped 30 ms late",
+)
 
 
 def changed(name: str, topic: str, log_ns: int, value: Any, focal: float) -> Any:

@@ -196,8 +196,10 @@ def main() -> None:
         "peak memory, MiB",
     )
     parts = [
-        '## Rate and memory\n\nWall time of a process of its own, start included. "In the stages": the frames by the sum of '
-        "the stages' times (the decoding itself in the first rows), without start, scan, tables and review. Load of "
+        '## Rate and memory\n\nWall time of a process of its own, start included. "In the '
+        'stages": the frames by the sum of '
+        "the stages' times (the decoding itself in the first rows), without start, scan, tables "
+        "and review. Load of "
         f"the machine while measuring (1-minute average of {os.cpu_count()} cores): {load}.\n\n"
         + result.table(head, rows),
         "## Time per stage\n\nms, median / p95, from timings.parquet.\n\n"

@@ -121,7 +121,8 @@ def main() -> None:
     args = parser.parse_args()
     truth = write(args.out, args.frames, args.speed, args.seed)
     print(
-        f"{args.out}: {args.frames} frames; box in the first: {','.join(f'{v:.0f}' for v in truth.boxes[0])}"
+        f"{args.out}: {args.frames} frames; box in the first: "
+        f"{','.join(f'{v:.0f}' for v in truth.boxes[0])}"
     )
 
 

@@ -171,8 +171,9 @@ def through_the_close(frames: pd.DataFrame, run: Path) -> list[str]:
     axis = figure.subplots()
     t, causal, causal90, hindsight, hindsight90 = np.array(drawn).T
     for name, colour, middle, high in (
-        ("causal pass", "#d95f02", causal, causal90), ("hindsight", "#1f77b4", hindsight, hindsight90),
-    ):  # fmt: skip
+        ("causal pass", "#d95f02", causal, causal90),
+        ("hindsight", "#1f77b4", hindsight, hindsight90),
+    ):
         axis.plot(t, middle, color=colour, label=f"{name}, median")
         axis.plot(t, high, color=colour, ls=":", label=f"{name}, 90 %")
     axis.set_yscale("log")
@@ -185,8 +186,9 @@ def through_the_close(frames: pd.DataFrame, run: Path) -> list[str]:
         figure.savefig(RESULTS / "gap.svg", metadata={"Date": None})
     head = ["s from the close", "frames", "registered", "causal mm", "90 %", "hindsight mm", "90 %"]
     return [
-        f"Through the close of {len(gaps)} trials, against where the object really was (gap sided {sided}; the median gap is "
-        f"{gaps['gap_s'].median():.2f} s, the longest {gaps['gap_s'].max():.2f} s). Plot: gap.svg.",
+        f"Through the close of {len(gaps)} trials, against where the object really was (gap sided "
+        f"{sided}; the median gap is {gaps['gap_s'].median():.2f} s, the longest "
+        f"{gaps['gap_s'].max():.2f} s). Plot: gap.svg.",
         table(head, cells),
     ]
 

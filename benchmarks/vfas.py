@@ -49,8 +49,9 @@ PAPER = {
 
 ENDS = ("held", "lost", "never closed", "no seed in reach")
 STAND_INS = (
-    "Seeds are known grasps with a drawn error (15 mm and 6 degrees on each axis, 1 sigma) in place of Contact-GraspNet's; DIS "
-    "stands in for GMFlow; the evaluator is dgeval's own; fingers slide. Intervals: Wilson, 95 %."
+    "Seeds are known grasps with a drawn error (15 mm and 6 degrees on each axis, 1 sigma) in "
+    "place of Contact-GraspNet's; DIS stands in for GMFlow; the evaluator is dgeval's own; fingers "
+    "slide. Intervals: Wilson, 95 %."
 )
 
 
@@ -144,7 +145,10 @@ def middle(results: list[dict[str, Any]], key: str) -> str:
 def paired(results: dict[str, list[dict[str, Any]]], before: str, after: str) -> str:
     old, new = ([r["ended"] == "held" for r in results[arm]] for arm in (before, after))
     worse, better, p = mcnemar(old, new)
-    return f"{before} → {after}, the same {len(old)} trials: {better} won, {worse} lost, exact McNemar p = {p:.2g}."
+    return (
+        f"{before} → {after}, the same {len(old)} trials: {better} won, {worse} lost, exact "
+        f"McNemar p = {p:.2g}."
+    )
 
 
 def main() -> None:

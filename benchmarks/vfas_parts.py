@@ -108,10 +108,11 @@ def spread_against_robustness(per_object: int) -> str:
     s, q, r = np.array(spread), np.array(quality), np.array(robust)
     certain = np.abs(r - 0.5) > 0.4  # all or nearly all, none or nearly none
     lines = [
-        f"{len(r)} free grasps of the nine, each tried {REPETITIONS} times 4 mm and 3 degrees off (1 sigma); robustness is "
-        f"the share that held. Spearman's correlation of quality with it {spearmanr(q, r)[0]:.2f}; of the spread with "
-        f"how undecided it is (1 - |2 r - 1|) {spearmanr(s, 1 - np.abs(2 * r - 1))[0]:.2f}. "
-        f"Mean spread where all or none hold {s[certain].mean():.2f}, in between {s[~certain].mean():.2f}."
+        f"{len(r)} free grasps of the nine, each tried {REPETITIONS} times 4 mm and 3 degrees off "
+        "(1 sigma); robustness is the share that held. Spearman's correlation of quality with it "
+        f"{spearmanr(q, r)[0]:.2f}; of the spread with how undecided it is (1 - |2 r - 1|) "
+        f"{spearmanr(s, 1 - np.abs(2 * r - 1))[0]:.2f}. Mean spread where all or none hold "
+        f"{s[certain].mean():.2f}, in between {s[~certain].mean():.2f}."
     ]
     return "\n".join(lines)
 
@@ -186,7 +187,8 @@ def main() -> None:
     limit_threads()
     parts = [
         "## Evaluator",
-        "Random poses round seeds, labels from physics, clouds of exact depth with the training's noise.",
+        "Random poses round seeds, labels from physics, clouds of exact depth with the training's "
+        "noise.",
         quality_by_set(options.seeds),
         "## Spread and robustness",
         spread_against_robustness(4 * options.seeds),

@@ -179,7 +179,8 @@ class EstimationConfig(Section):
 class GraspsConfig(Section):
     source: Literal["auto", "recorded", "ffhnet", "none"] = Field(
         "auto",
-        description="auto: the robot's own where they are recorded, else FFHNet where the hand is one it knows",
+        description="auto: the robot's own where they are recorded, else FFHNet where the hand is "
+        "one it knows",
     )
     candidates: int = Field(
         256, ge=1, le=10_000, description="grasps drawn per frame (paper: not given, PAPERS A14)"
@@ -187,17 +188,19 @@ class GraspsConfig(Section):
     max_overlap: float = Field(
         0.004,
         ge=0,
-        description="m; candidates whose hand lies deeper in the model are left out, the one chosen last if 2.5 times as deep "
-        "(ours; 1 turns it off)",
+        description="m; candidates whose hand lies deeper in the model are left out, the one "
+        "chosen last if 2.5 times as deep (ours; 1 turns it off)",
     )
     support_z: float | None = Field(
         None,
-        description="m in the base frame; candidates whose hand reaches deeper below it are left out (ours)",
+        description="m in the base frame; candidates whose hand reaches deeper below it are left "
+        "out (ours)",
     )
     way_m: float = Field(
         0.0,
         ge=0,
-        description="m before a grasp over which the hand's straight way to it must be free of the model too (ours)",
+        description="m before a grasp over which the hand's straight way to it must be free of the "
+        "model too (ours)",
     )
     generator: str | None = Field(
         None, description="weights, .safetensors or the authors' *_gen_net.pt; default: shipped"
@@ -216,7 +219,8 @@ class SelectionConfig(Section):
     keep_margin: float = Field(
         0.0,
         ge=0,
-        description="by how much another grasp's metric must be better than that of the one chosen last (ours)",
+        description="by how much another grasp's metric must be better than that of the one chosen "
+        "last (ours)",
     )
     literal_eq5: bool = Field(
         False, description="the signs of equation 5 as printed, which reward distance"
@@ -242,7 +246,8 @@ class ServoConfig(Section):
     beyond_m: float = Field(
         0.0,
         ge=0,
-        description="m beyond the grasp along the fingers that the hand is sent to as long as it is before it (ours)",
+        description="m beyond the grasp along the fingers that the hand is sent to as long as it "
+        "is before it (ours)",
     )
 
 
@@ -265,14 +270,16 @@ class VfasConfig(Section):
     )
     labels: Literal["vfas", "jsll"] | None = Field(
         None,
-        description="of scene and gripper points, 0/1 or 1/0; default: as the weights were trained (PAPERS B8)",
+        description="of scene and gripper points, 0/1 or 1/0; default: as the weights were trained "
+        "(PAPERS B8)",
     )
     centre: Literal["grasp", "mean"] | None = Field(
         None, description="what points are relative to; default: as the weights'"
     )
     contact_graspnet: str | None = Field(
         None,
-        description="seeds where none is recorded: a checkpoint of cgn-pytorch, or `installed`; default: dgeval's sampler",
+        description="seeds where none is recorded: a checkpoint of cgn-pytorch, or `installed`; "
+        "default: dgeval's sampler",
     )
     candidates: int = Field(64, ge=1, le=4096, description="N, grasps drawn per iteration (ours)")
     half_width: float = Field(0.02, gt=0, description="m on each axis of the seed (paper)")
@@ -288,7 +295,8 @@ class VfasConfig(Section):
     good_score: float = Field(0.5, description="a grasp is good above it (paper)")
     keep_seed: bool = Field(
         True,
-        description="the seed itself is a candidate too (ours: else no iteration can leave it in place)",
+        description="the seed itself is a candidate too (ours: else no iteration can leave it in "
+        "place)",
     )
     adaptive: bool = Field(True, description="the region and N grow until a good grasp is found")
     factor: float = Field(1.3, ge=1, description="lambda, growth per iteration (paper)")
@@ -306,7 +314,8 @@ class VfasConfig(Section):
     hold_iterations: int = Field(5, ge=1, description="within both before the advance (paper)")
     search: bool = Field(
         False,
-        description="the seed is ahead of the gripper and stays until a good grasp is found (handover)",
+        description="the seed is ahead of the gripper and stays until a good grasp is found "
+        "(handover)",
     )
     search_ahead: float = Field(0.15, gt=0, description="m (paper)")
     refine: bool = Field(
@@ -320,7 +329,8 @@ class ExecutionConfig(Section):
     arrived_m: float | None = Field(
         None,
         gt=0,
-        description="m of the hand to the grasp within which alone it is executed (ours; paper: by score alone)",
+        description="m of the hand to the grasp within which alone it is executed (ours; paper: by "
+        "score alone)",
     )
     arrived_deg: float = Field(6.0, gt=0, description="degrees, with arrived_m (ours)")
 
@@ -384,17 +394,20 @@ class Config(Section):
         out = []
         if self.selection.keep_margin:
             out.append(
-                f"a chosen grasp is kept until another's metric is better by {self.selection.keep_margin:g}"
+                "a chosen grasp is kept until another's metric is better by "
+                f"{self.selection.keep_margin:g}"
             )
         if self.grasps.way_m:
             out.append(
-                f"the last {100 * self.grasps.way_m:g} cm of the way to a grasp are free of the model"
+                f"the last {100 * self.grasps.way_m:g} cm of the way to a grasp are free of the "
+                "model"
             )
         if self.servo.beyond_m:
             out.append(f"the hand is sent {1e3 * self.servo.beyond_m:g} mm beyond the grasp")
         if self.execution.arrived_m is not None:
             out.append(
-                f"executed within {1e3 * self.execution.arrived_m:g} mm of the grasp, not by score alone"
+                f"executed within {1e3 * self.execution.arrived_m:g} mm of the grasp, not by score "
+                "alone"
             )
         return [f"not in the paper: {what}" for what in out]
 

@@ -21,9 +21,19 @@ THREAD_VARIABLES = (
     "NUMEXPR_NUM_THREADS",
 )
 FINGERPRINT_PACKAGES = (
-    "numpy", "scipy", "opencv-contrib-python-headless", "small_gicp", "open3d-cpu", "open3d", "kiss-icp",
-    "filterpy", "mcap", "rosbags", "pyarrow", "torch",
-)  # fmt: skip
+    "numpy",
+    "scipy",
+    "opencv-contrib-python-headless",
+    "small_gicp",
+    "open3d-cpu",
+    "open3d",
+    "kiss-icp",
+    "filterpy",
+    "mcap",
+    "rosbags",
+    "pyarrow",
+    "torch",
+)
 
 
 def set_thread_variables() -> None:

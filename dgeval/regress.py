@@ -81,7 +81,10 @@ def read_baseline(path: Path, into: Path) -> tuple[dict[str, Any], Run]:
         with zipfile.ZipFile(path) as file:
             about: dict[str, Any] = json.loads(file.read("baseline.json"))
             if about["schema_version"] != SCHEMA_VERSION:
-                what = f"the baseline has tables of schema {about['schema_version']}, this dgeval writes {SCHEMA_VERSION}"
+                what = (
+                    f"the baseline has tables of schema {about['schema_version']}, this dgeval "
+                    f"writes {SCHEMA_VERSION}"
+                )
                 raise UsageError(what, Place(str(path)), "make it again with --update --reason")
             file.extractall(into)
     except FileNotFoundError as error:
@@ -122,7 +125,10 @@ def check_recordings(about: dict[str, Any], inputs: dict[str, str], path: Path) 
     other = [t for t in sorted(inputs) if about["inputs"].get(t) != inputs[t]]
     if other:
         more = f" and {len(other) - 1} more" if len(other) > 1 else ""
-        what = f"the recording of trial {other[0]}{more} is not the one that the baseline was made from"
+        what = (
+            f"the recording of trial {other[0]}{more} is not the one that the baseline was made "
+            "from"
+        )
         raise OtherRecordingsError(what, Place(str(path)), "give those, or make the baseline again")
 
 

@@ -79,10 +79,15 @@ class ReviewWriter:
         self._rec.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._rec.log(
             "world/camera",
-            rr.Pinhole(focal_length=(k.fx, k.fy), principal_point=(k.cx, k.cy), width=k.width, height=k.height,
-                       image_plane_distance=0.12),
+            rr.Pinhole(
+                focal_length=(k.fx, k.fy),
+                principal_point=(k.cx, k.cy),
+                width=k.width,
+                height=k.height,
+                image_plane_distance=0.12,
+            ),
             static=True,
-        )  # fmt: skip
+        )
         for entity, names in SERIES.items():
             self._rec.log(entity, rr.SeriesLines(names=list(names)), static=True)
         for event in trial.events:

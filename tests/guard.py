@@ -41,9 +41,16 @@ ARMS: dict[str, tuple[str, ...]] = {
     "csrt": ("--set", "tracking.method=csrt"),
 }
 SCENARIOS = (
-    "static", "conveyor", "conveyor-analytic", "failures", "ci-smoke", "handover", "table-clearing", "turntable",
+    "static",
+    "conveyor",
+    "conveyor-analytic",
+    "failures",
+    "ci-smoke",
+    "handover",
+    "table-clearing",
+    "turntable",
     "vfas-handover",
-)  # fmt: skip
+)
 FAILURES, FAILURES_SEED = 20, 2000  # development trials of the scenario `failures`
 VOLATILE = ("key", "seconds", "resumed")  # times of computing, and what the version is part of
 

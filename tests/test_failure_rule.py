@@ -15,8 +15,13 @@ def curve(*good: float) -> tuple[tuple[float, bool], ...]:
 
 def facts(**changed: object) -> Facts:
     values: dict[str, object] = {
-        "closed": True, "displacement_m": 0.0, "displacement_deg": 0.0, "curve": FAIL, "contact_s": None, "height_m": 0.0,
-    }  # fmt: skip
+        "closed": True,
+        "displacement_m": 0.0,
+        "displacement_deg": 0.0,
+        "curve": FAIL,
+        "contact_s": None,
+        "height_m": 0.0,
+    }
     return Facts(**{**values, **changed})  # type: ignore[arg-type]
 
 

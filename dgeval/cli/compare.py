@@ -46,8 +46,9 @@ def compare(
             print_json(result)
         else:
             typer.echo(
-                f"{result['trials']} closed-loop trials on equal seeds: {result['old']} then {result['new']} succeed; "
-                f"{result['lost']} lost, {result['gained']} gained, exact McNemar p = {result['p']:.3f}: {result['answer']}"
+                f"{result['trials']} closed-loop trials on equal seeds: {result['old']} then "
+                f"{result['new']} succeed; {result['lost']} lost, {result['gained']} gained, exact "
+                f"McNemar p = {result['p']:.3f}: {result['answer']}"
             )
         return
     c = compare_runs(read_run(old), read_run(new))

@@ -76,10 +76,10 @@ def _print(found: dict[str, Any]) -> None:
     timing = found["timing"]
     if timing:
         typer.echo(
-            f"pairs: {timing['pairs']} within {timing['tolerance_s'] * 1e3:.1f} ms, unmatched"
-            f" {timing['unmatched_colour']} colour and {timing['unmatched_depth']} depth; skew median"
-            f" {timing.get('skew_median_s', 0) * 1e3:+.2f} ms,"
-            f" largest {timing.get('skew_largest_s', 0) * 1e3:.2f} ms"
+            f"pairs: {timing['pairs']} within {timing['tolerance_s'] * 1e3:.1f} ms, unmatched "
+            f"{timing['unmatched_colour']} colour and {timing['unmatched_depth']} depth; skew "
+            f"median {timing.get('skew_median_s', 0) * 1e3:+.2f} ms, largest "
+            f"{timing.get('skew_largest_s', 0) * 1e3:.2f} ms"
         )
         for role in ("colour", "depth"):
             wrong = {k: v for k, v in timing[f"{role}_stamps"].items() if k != "used" and v}

@@ -142,7 +142,8 @@ def regress(
             if r.answer in ("worse", "inconclusive", "better"):
                 settle = f"; some {r.needed} trials would settle it" if r.needed else ""
                 typer.echo(
-                    f"  {r.metric.name}: {r.answer}, {r.old:.4g} -> {r.new:.4g} {r.metric.unit}, p = {r.p:.3f}{settle}"
+                    f"  {r.metric.name}: {r.answer}, {r.old:.4g} -> {r.new:.4g} {r.metric.unit}, p "
+                    f"= {r.p:.3f}{settle}"
                 )
         if c.differences:
             typer.echo(f"look: {out / 'regress.html'}")

@@ -153,7 +153,10 @@ def _print_summary(out: Path, results: Any, review: bool) -> None:
         if row["notes"]:
             typer.echo(f"  notes: {row['notes']}")
         if r.review:
-            size = f"{r.review['bytes'] / 1e6:.1f} MB, the colour images alone {r.review['image_bytes'] / 1e6:.1f} MB"
+            size = (
+                f"{r.review['bytes'] / 1e6:.1f} MB, the colour images alone "
+                f"{r.review['image_bytes'] / 1e6:.1f} MB"
+            )
             typer.echo(f"  review: {size}")
     typer.echo(f"tables: {out}")
     if review and any(r.row for r in results):

@@ -23,8 +23,8 @@ def simulate(
     scenario: Annotated[
         str,
         typer.Argument(
-            help="conveyor, handover, conveyor-analytic, static, failures, ci-smoke, table-clearing, turntable, "
-            "vfas-handover, a FILE.toml, or a manifest."
+            help="conveyor, handover, conveyor-analytic, static, failures, ci-smoke, "
+            "table-clearing, turntable, vfas-handover, a FILE.toml, or a manifest."
         ),
     ],
     out: Annotated[

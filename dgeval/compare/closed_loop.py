@@ -23,15 +23,21 @@ def compare_campaigns(old: Path, new: Path) -> dict[str, Any]:
         seeds = [side[trial][1] for side in ended]
         if seeds[0] != seeds[1]:
             raise UsageError(
-                f"trial {trial} has seed {seeds[0]} in {old} and {seeds[1]} in {new}: they are not pairs"
+                f"trial {trial} has seed {seeds[0]} in {old} and {seeds[1]} in {new}: they are not "
+                "pairs"
             )
     before, after = ([side[t][0] for t in trials] for side in ended)
     lost, gained, p = mcnemar(before, after)
     answer = "inconclusive" if p > ALPHA else "worse" if lost > gained else "better"
     return {
-        "trials": len(trials), "old": sum(before), "new": sum(after), "lost": lost, "gained": gained, "p": p,
+        "trials": len(trials),
+        "old": sum(before),
+        "new": sum(after),
+        "lost": lost,
+        "gained": gained,
+        "p": p,
         "answer": "same" if lost + gained == 0 else answer,
-    }  # fmt: skip
+    }
 
 
 def _ended(folder: Path) -> dict[str, tuple[bool, int]]:

@@ -84,7 +84,10 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
     """Trials paired by id. UsageError where the runs have no trial in common or tables of another version."""
     for run in (old, new):
         if run.about["schema_version"] != SCHEMA_VERSION:
-            what = f"{run.folder}: tables of schema {run.about['schema_version']}, this dgeval compares {SCHEMA_VERSION}"
+            what = (
+                f"{run.folder}: tables of schema {run.about['schema_version']}, this dgeval "
+                f"compares {SCHEMA_VERSION}"
+            )
             raise UsageError(what, hint="replay the recordings again with this version")
     rows = [run.trials.set_index("trial") for run in (old, new)]
     trials = sorted(set(rows[0].index) & set(rows[1].index))

@@ -21,7 +21,10 @@ class Tolerance:
     reason: str
 
 
-LAST_BITS = "other processors and library versions round differently; sensors are thousands of times coarser"
+LAST_BITS = (
+    "other processors and library versions round differently; sensors are thousands of times "
+    "coarser"
+)
 BORDER = "a point that lies on a threshold may fall on either side of it"
 EXACT = Tolerance(0.0, 0.0, "words and flags are equal or not")
 BY_UNIT = {
@@ -60,7 +63,10 @@ class Divergence:
     new: Any
 
     def __str__(self) -> str:
-        return f"{self.trial}: frame {self.frame}, stage {self.stage}, {self.field}: {_shown(self.old)} -> {_shown(self.new)}"
+        return (
+            f"{self.trial}: frame {self.frame}, stage {self.stage}, {self.field}: "
+            f"{_shown(self.old)} -> {_shown(self.new)}"
+        )
 
 
 @dataclass(frozen=True)

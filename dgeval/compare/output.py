@@ -43,25 +43,42 @@ def as_json(c: Comparison) -> dict[str, Any]:
         "versions": [{"what": f, "old": a, "new": b} for f, a, b in c.versions],
         "first_divergence": None if c.first is None else _divergence(c.first),
         "changed_trials": [_divergence(d) for d in c.differences],
-        "facts": [{"trial": t, "fact": f, "old": _plain(a), "new": _plain(b)} for t, f, a, b in c.facts],
+        "facts": [
+            {"trial": t, "fact": f, "old": _plain(a), "new": _plain(b)} for t, f, a, b in c.facts
+        ],
         "metrics": [
             {
-                "metric": r.metric.name, "unit": r.metric.unit, "trials": r.n, "old": r.old, "new": r.new,
-                "difference": r.difference, "interval": [_plain(r.low), _plain(r.high)], "p": r.p,
-                "relevant": r.metric.relevant, "answer": r.answer, "trials_needed": r.needed,
+                "metric": r.metric.name,
+                "unit": r.metric.unit,
+                "trials": r.n,
+                "old": r.old,
+                "new": r.new,
+                "difference": r.difference,
+                "interval": [_plain(r.low), _plain(r.high)],
+                "p": r.p,
+                "relevant": r.metric.relevant,
+                "answer": r.answer,
+                "trials_needed": r.needed,
             }
             for r in c.results
         ],
         "timings": [{"stage": s, "factor": f, "p": p} for s, f, p in c.timings],
-    }  # fmt: skip
+    }
 
 
 def _divergence(d: TrialDifference) -> dict[str, Any]:
     f = d.first
     return {
-        "trial": d.trial, "frame": f.frame, "stage": f.stage, "field": f.field, "old": _plain(f.old), "new": _plain(f.new),
-        "within_tolerance": d.within, "frames_that_differ": d.stages, "frames": list(d.n_frames),
-    }  # fmt: skip
+        "trial": d.trial,
+        "frame": f.frame,
+        "stage": f.stage,
+        "field": f.field,
+        "old": _plain(f.old),
+        "new": _plain(f.new),
+        "within_tolerance": d.within,
+        "frames_that_differ": d.stages,
+        "frames": list(d.n_frames),
+    }
 
 
 def _plain(value: Any) -> Any:

@@ -16,9 +16,16 @@ from dgeval.report.summary import Share
 
 COLOURS = ("#1f77b4", "#d95f02", "#2a9d5c", "#7b5ea7")
 STYLE = {
-    "font.family": "DejaVu Sans", "font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False,
-    "axes.grid": True, "grid.alpha": 0.25, "legend.frameon": False, "legend.fontsize": 8, "svg.hashsalt": "dgeval",
-}  # fmt: skip
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "svg.hashsalt": "dgeval",
+}
 
 
 def trial_figure(

@@ -52,7 +52,10 @@ def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
         t for t in tomllib.loads((SMOKE / "ci-smoke.toml").read_text())["trial"] if t["id"] == NAME
     )
     shutil.copy(SMOKE / f"{NAME}.mcap", folder / "a.mcap")
-    text = f'name = "short"\n[[trial]]\nid = "a"\nrecording = "a.mcap"\nframes = [0, 30]\nbbox = {known["bbox"]}\n'
+    text = (
+        'name = "short"\n[[trial]]\nid = "a"\nrecording = "a.mcap"\nframes = [0, '
+        f"30]\nbbox = {known['bbox']}\n"
+    )
     (folder / "short.toml").write_text(text)
     return folder / "short.toml"
 

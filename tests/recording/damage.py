@@ -113,9 +113,14 @@ def raw_image(
     padded = np.full((rows.shape[0], step), 0xAB, np.uint8)
     padded[:, : rows.shape[1]] = rows
     return STORES[ros].types["sensor_msgs/msg/Image"](
-        header=header(ros, t_ns, "camera"), height=array.shape[0], width=array.shape[1], encoding=encoding,
-        is_bigendian=int(big_endian), step=step, data=padded.ravel(),
-    )  # fmt: skip
+        header=header(ros, t_ns, "camera"),
+        height=array.shape[0],
+        width=array.shape[1],
+        encoding=encoding,
+        is_bigendian=int(big_endian),
+        step=step,
+        data=padded.ravel(),
+    )
 
 
 def compressed_image(ros: int, t_ns: int, data: bytes, format_: str) -> Any:
@@ -146,9 +151,15 @@ def camera_info(
         x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
     )
     return types["sensor_msgs/msg/CameraInfo"](
-        header=header(ros, t_ns, "camera"), height=height, width=width, distortion_model="plumb_bob", binning_x=0, binning_y=0,
-        roi=roi, **dict(zip(names, (np.zeros(5), k, r, p), strict=True)),
-    )  # fmt: skip
+        header=header(ros, t_ns, "camera"),
+        height=height,
+        width=width,
+        distortion_model="plumb_bob",
+        binning_x=0,
+        binning_y=0,
+        roi=roi,
+        **dict(zip(names, (np.zeros(5), k, r, p), strict=True)),
+    )
 
 
 def transform(
@@ -161,12 +172,15 @@ def transform(
 ) -> Any:
     types = STORES[ros].types
     return types["geometry_msgs/msg/TransformStamped"](
-        header=header(ros, t_ns, parent), child_frame_id=child,
+        header=header(ros, t_ns, parent),
+        child_frame_id=child,
         transform=types["geometry_msgs/msg/Transform"](
             translation=types["geometry_msgs/msg/Vector3"](x=place[0], y=place[1], z=place[2]),
-            rotation=types["geometry_msgs/msg/Quaternion"](x=turn[0], y=turn[1], z=turn[2], w=turn[3]),
+            rotation=types["geometry_msgs/msg/Quaternion"](
+                x=turn[0], y=turn[1], z=turn[2], w=turn[3]
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def tf_message(ros: int, transforms: list[Any]) -> Any:
@@ -285,10 +299,18 @@ def write_mcap(
     ]
     with path.open("wb") as stream:
         writer = McapWriter(
-            stream, chunk_size=24_000, compression=kind, use_chunking=chunked,
-            index_types=IndexType.ALL if summary else IndexType.NONE, repeat_channels=summary, repeat_schemas=summary,
-            use_statistics=summary, use_summary_offsets=summary, enable_crcs=crcs, enable_data_crcs=data_crc,
-        )  # fmt: skip
+            stream,
+            chunk_size=24_000,
+            compression=kind,
+            use_chunking=chunked,
+            index_types=IndexType.ALL if summary else IndexType.NONE,
+            repeat_channels=summary,
+            repeat_schemas=summary,
+            use_statistics=summary,
+            use_summary_offsets=summary,
+            enable_crcs=crcs,
+            enable_data_crcs=data_crc,
+        )
         writer.start("ros2" if ros == 2 else "ros1")
         schemas: dict[str, int] = {}
         channels: dict[str, int] = {}
@@ -475,8 +497,18 @@ def make_good(kind: Kind, folder: Path) -> Good:
 # --- where things lie in a file -------------------------------------------------------------------------------------
 
 Region = tuple[str, int, int]
-MCAP_NAMES = {1: "header", 2: "footer", 3: "definition", 4: "definition", 5: "message", 7: "message index", 8: "chunk index",
-              11: "statistics", 14: "summary offset", 15: "data end"}  # fmt: skip
+MCAP_NAMES = {
+    1: "header",
+    2: "footer",
+    3: "definition",
+    4: "definition",
+    5: "message",
+    7: "message index",
+    8: "chunk index",
+    11: "statistics",
+    14: "summary offset",
+    15: "data end",
+}
 BAG_NAMES = {3: "bag header", 4: "index", 5: "chunk", 6: "chunk info", 7: "connection"}
 
 
@@ -1488,7 +1520,8 @@ SEMANTIC = (
                 e,
                 data=URDF.replace(
                     "</robot>",
-                    '<joint name="j2" type="fixed"><parent link="finger"/><child link="palm"/></joint></robot>',
+                    '<joint name="j2" type="fixed"><parent link="finger"/><child '
+                    'link="palm"/></joint></robot>',
                 ),
             ),
         ),

@@ -154,7 +154,10 @@ def bombs(report: Report, scratch: Path) -> None:
         path.write_bytes(d.bomb(compression, 7 << 28))
         outcome = d.in_child(lambda p=path: d.read_outcome(p, [], "chunk"), extra_mb=6000)
         if outcome.kind != d.VIOLATION and outcome.peak_mb > PEAK_MB:
-            outcome.detail = f"{outcome.peak_mb:.0f} MB resident for a file of {path.stat().st_size} bytes; {outcome.detail}"
+            outcome.detail = (
+                f"{outcome.peak_mb:.0f} MB resident for a file of {path.stat().st_size} bytes; "
+                f"{outcome.detail}"
+            )
             outcome.kind = d.VIOLATION
         report.add(f"mcap {compression}", "bomb", "1000 bytes claimed, 1.75 GiB inside", outcome)
 
@@ -188,7 +191,8 @@ def contents(report: Report, containers: tuple[str, ...], scratch: Path) -> list
                 )
                 mark = "**VIOLATION** " if outcome.kind == d.VIOLATION else ""
                 lines.append(
-                    f"| {container} | {case.name} | {command} {mark}{(outcome.lines or ['-'])[0]} | {said} |"
+                    f"| {container} | {case.name} | {command} {mark}{(outcome.lines or ['-'])[0]} "
+                    f"| {said} |"
                 )
     return lines
 
