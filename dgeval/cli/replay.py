@@ -57,7 +57,8 @@ def replay(
         bool, typer.Option("--json", help="One JSON document on standard output, nothing else.")
     ] = False,
 ) -> None:
-    """Replay recordings through the perception and control stages and write tables and review recordings."""
+    """Replay recordings through the perception and control stages and write tables and review
+    recordings."""
     from dgeval.config import load_config
     from dgeval.errors import UsageError
     from dgeval.recording.manifest import find_trials
@@ -93,12 +94,12 @@ def replay(
             writer,
             force,
             jobs,
-            on_result=_both(on_result, bar.trial),
+            on_result=_call_both(on_result, bar.trial),
             progress=bar.frame,
         )
     code = finish_run(out, results, config)
     if check_determinism:
-        _check(specs, config, jobs, results)
+        _check_determinism(specs, config, jobs, results)
     if json_:
         print_json(
             {
@@ -115,8 +116,11 @@ def replay(
     raise typer.Exit(code)
 
 
-def _check(specs: Any, config: Any, jobs: int, results: Any) -> None:
-    """Replay once more into a temporary folder, in processes of their own, and compare stage by stage."""
+def _check_determinism(specs: Any, config: Any, jobs: int, results: Any) -> None:
+    """Replay the trials again into a temporary folder and compare the digests of every stage.
+
+    NotDeterministicError where a digest differs.
+    """
     import tempfile
 
     from dgeval.errors import NotDeterministicError
@@ -186,7 +190,7 @@ def _range(text: str) -> tuple[int, int]:
     return int(a), int(b)
 
 
-def _both(first: Any, second: Any) -> Any:
+def _call_both(first: Any, second: Any) -> Any:
     def call(result: Any) -> None:
         first(result)
         second(result)
@@ -195,7 +199,10 @@ def _both(first: Any, second: Any) -> Any:
 
 
 class _progress:
-    """Bars on standard error: frames within a trial, and trials. Silent where standard error is not a terminal."""
+    """Progress bars on standard error: frames within a trial, and trials.
+
+    Silent where standard error is not a terminal.
+    """
 
     def __init__(self, n_trials: int) -> None:
         self._n = n_trials
