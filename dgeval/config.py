@@ -1,6 +1,7 @@
-"""Every parameter, its default and its source. Unknown keys are errors that name the nearest key.
+"""Every parameter with its default, unit and source.
 
-Order of precedence: command line over file over default. The environment is never read.
+The command line takes precedence over the file, the file over the default. The environment is never
+read. An unknown key is an error that names the nearest known key.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ class Section(BaseModel):
 
 
 class RolesConfig(Section):
-    """Topic per role; None means found by type and name."""
+    """Topic of each role; None: found by type and name."""
 
     colour: str | None = None
     depth: str | None = None
@@ -49,7 +50,7 @@ class ClockConfig(Section):
 
 
 class FramesConfig(Section):
-    """tf frame names; None means found."""
+    """Names of tf frames; None: found in the recording."""
 
     base: str | None = None
     camera: str | None = Field(
@@ -252,7 +253,7 @@ class ServoConfig(Section):
 
 
 class OneEuroConfig(Section):
-    """The paper names the filter and gives no parameters: these are PAPERS 7's, for 20 Hz."""
+    """Parameters of the 1 euro filter at 20 Hz: PAPERS 7's, as the paper gives none."""
 
     position_cutoff: float = Field(1.5, gt=0, description="Hz, least")
     position_beta: float = Field(5.0, ge=0, description="Hz per m/s")
@@ -336,7 +337,7 @@ class ExecutionConfig(Section):
 
 
 class ScheduleConfig(Section):
-    """When a stage's result becomes usable after its image was taken, s."""
+    """Latency of a stage, s: from the stamp of an image to the time its result is usable."""
 
     perception_latency_s: float = Field(0.0, ge=0)
     grasps_latency_s: float = Field(0.0, ge=0)
@@ -390,7 +391,7 @@ class Config(Section):
     review: ReviewConfig = ReviewConfig()
 
     def beyond_the_paper(self) -> list[str]:
-        """What of the dynamic pipeline goes another way than the paper's, by these values: for the notes of a trial."""
+        """Sentences for a trial's notes: where these values depart from the paper."""
         out = []
         if self.selection.keep_margin:
             out.append(
@@ -413,7 +414,10 @@ class Config(Section):
 
 
 def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) -> Config:
-    """A pipeline's name or TOML file, with `section.key=value` assignments on top. UsageError names the fault."""
+    """The configuration of a pipeline's name or TOML file, changed by `section.key=value` texts.
+
+    UsageError names the faulty key or assignment.
+    """
     values: dict[str, Any] = {}
     if pipeline.endswith(".toml"):
         values = read_toml(Path(pipeline))
@@ -432,7 +436,7 @@ def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) ->
 
 
 def validated(model: type[Model], values: dict[str, Any], what: str, path: Path) -> Model:
-    """A file's values as a model; UsageError names the file and the first key at fault."""
+    """A file's values as a model; UsageError names the file and the first faulty key."""
     try:
         return model.model_validate(values)
     except ValidationError as error:
@@ -457,7 +461,7 @@ def _assign(values: dict[str, Any], assignment: str) -> None:
     try:
         value = tomllib.loads(f"x = {text}")["x"]
     except tomllib.TOMLDecodeError:
-        value = text  # a bare word is text
+        value = text  # not a TOML value: taken as text
     *sections, last = key.strip().split(".")
     node = values
     for name in sections:
