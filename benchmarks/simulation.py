@@ -1,4 +1,7 @@
-"""Tables about simulated campaigns: success by speed beside the paper, shares of classes, seconds, stability of the class.
+"""Tables of a simulated campaign.
+
+Success by speed and object beside the paper's, shares of the failure classes, computing times, and
+how stable the class is.
 
 dgeval simulate conveyor --no-images --out runs/conveyor
 python -m benchmarks.simulation runs/conveyor/simulated.json [--stability N]
@@ -91,9 +94,11 @@ def seconds(results: list[dict[str, Any]]) -> str:
 
 
 def stability(results: list[dict[str, Any]], n: int, name: str) -> str:
-    """The class of the first n failures of each kind again, from starts different by ±1 mm, ±3 mm/s, ±10 ms, three times.
+    """Classes of re-runs of the first n failures of each class.
 
-    name: of the scenario that was simulated; what is recorded is whose trials it draws.
+    Each is simulated three times with its start changed by ±1 mm, ±3 mm/s, ±10 ms. name: of the
+    simulated scenario, as its file is named; the recorded name is that of the scenario whose plans
+    it uses.
     """
     from dgeval.simulation.blame import jittered
     from dgeval.simulation.campaign import Campaign, simulate
@@ -124,13 +129,13 @@ def main() -> None:
     verdict = results[0]["verdict"]
     name, grasps = verdict["scenario"], verdict.get("grasps", "analytic")
     paper = PUBLISHED.get(name, {})
-    stands = (
+    stand_in = (
         "an analytic sampler and score for FFHNet"
         if grasps == "analytic"
         else "nothing for FFHNet, whose weights are ours"
     )
     notes = (
-        f"Stood in: modelled perception for TransT-M and ICP in the loop, {stands}; "
+        f"Stood in: modelled perception for TransT-M and ICP in the loop, {stand_in}; "
         f"servo gains {verdict['gains']}; faults as in the scenario."
     )
     clean = [r for r in results if not r["verdict"]["faults_present"]]

@@ -1,8 +1,11 @@
-"""VFAS-Grasp's tables redone in simulation: static before and after refinement, turntable with and without adaptive sampling,
-handover; Wilson intervals, exact McNemar for the paired ones.
+"""VFAS-Grasp's tables in simulation, with Wilson intervals and exact McNemar tests.
 
-`python -m benchmarks.vfas [--jobs 2] [--seed 0] [--only static,turntable,handover]`. Outcomes of finished trials are kept in
-OUT (default runs/vfas) and not made again. The causes of failures: `dgeval simulate table-clearing` and so on.
+Static objects before and after refinement, turntable with and without adaptive sampling, handover.
+
+`python -m benchmarks.vfas [--jobs 2] [--seed 0] [--only static,turntable,handover]`
+
+Outcomes of finished trials are kept in OUT (default runs/vfas) and not simulated again. The causes
+of failures come from `dgeval simulate table-clearing` and so on.
 """
 
 from __future__ import annotations
@@ -65,7 +68,10 @@ def scenario_of(name: str, changes: dict[str, Any]) -> Scenario:
 
 
 def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
-    """One trial: held or how it ended, and the median jump of the selected grasp while it was approached."""
+    """Simulate one trial, or read its kept result.
+
+    ended: one of ENDS. jump_mm, jump_deg: median jump of the selected grasp during the approach.
+    """
     limit_threads()
     scenario = scenario_of(*ARMS[arm])
     campaign = Campaign(scenario, seed, 1, out)
@@ -103,13 +109,13 @@ def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
 
 
 def seed_pairs(run: Run) -> list[tuple[Array, Array]]:
-    """The seed, T_base_grasp, of each iteration and of the one before it."""
+    """(T_base_grasp of an iteration, of the next one) for each iteration with a new seed."""
     poses = [run.ticks[f.tick].T_base_grasp for f in run.frames if f.tick < len(run.ticks)]
     return [(a, b) for a, b in pairwise(poses) if a is not None and b is not None and b is not a]
 
 
 def jumps(pairs: Sequence[tuple[Array, Array]]) -> tuple[float | None, float | None]:
-    """Median distance, mm, and angle, degrees, between successive poses; None where there are none."""
+    """Median distance, mm, and angle, degrees, between the poses of each pair; None if no pair."""
     if not pairs:
         return None, None
     metres = [np.linalg.norm(b[:3, 3] - a[:3, 3]) for a, b in pairs]
@@ -137,7 +143,7 @@ def by(results: dict[str, list[dict[str, Any]]], key: str) -> str:
 
 
 def middle(results: list[dict[str, Any]], key: str) -> str:
-    """Median over trials that have one."""
+    """Median of a column over the trials that have a value, as text."""
     values = [r[key] for r in results if r[key] is not None]
     return number(float(np.median(values)), 2) if values else "–"
 
