@@ -1,4 +1,4 @@
-"""Write docs/columns.md from the one table in dgeval/schema.py; a test holds them equal."""
+"""Write docs/columns.md from the tables in dgeval/schema.py; a test compares the two."""
 
 from __future__ import annotations
 
