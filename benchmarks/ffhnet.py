@@ -116,7 +116,7 @@ def in_physics(
     for model in models:
         world = FlyingHand(model)
         surface = surface_points(model, 12_000, generator(1, f"bench/{model.name}", 0))
-        known = known_grasps(model) if model.name in ten_objects() else []
+        known_of_model = known_grasps(model) if model.name in ten_objects() else []
         for k in range(views):
             for name, fused in (("single view", False), ("fused", True)):
                 cloud, T_cloud_object = cloud_of(
@@ -140,8 +140,12 @@ def in_physics(
                 if not world.touches():
                     out["random free pose"].append((model.name, world.lifts(joints, shake=True)))
                     break
-            if known:
-                grasp = max(known, key=lambda g: g.quality) if k == 0 else known[k % len(known)]
+            if known_of_model:
+                grasp = (
+                    max(known_of_model, key=lambda g: g.quality)
+                    if k == 0
+                    else known_of_model[k % len(known_of_model)]
+                )
                 out["known grasps"].append(
                     (model.name, holds(world, grasp.T_object_palm, grasp.preshape))
                 )

@@ -45,14 +45,14 @@ def velocity(frames: pd.DataFrame, written: Written, truth: Array) -> Velocity:
     """
     estimate = frames[VELOCITY].to_numpy(dtype=float)
     error = np.linalg.norm(estimate - truth, axis=1) * 1e3
-    known = np.isfinite(error)
-    settled = known & (written.seconds - written.seconds[0] >= SETTLE_S)
+    with_velocity = np.isfinite(error)
+    settled = with_velocity & (written.seconds - written.seconds[0] >= SETTLE_S)
     sd = frames["velocity_sd"].to_numpy(dtype=float) * 1e3
     inside = error[settled] ** 2 / sd[settled] ** 2 < chi2.ppf(0.95, 3)
     return Velocity(
-        int(known.sum()),
+        int(with_velocity.sum()),
         _median(sd[settled]),
-        _rms(error[known]),
+        _rms(error[with_velocity]),
         _rms(error[settled]),
         _median(error[settled]),
         float(inside.mean()) if settled.any() else float("nan"),

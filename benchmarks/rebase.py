@@ -122,13 +122,13 @@ def rebase(
 def _images(trial: Trial) -> list[tuple[int, Any, Any]]:
     """(stamp ns, colour message, depth message) of every paired frame, all in memory."""
     topics = {trial.roles.colour: 1, trial.roles.depth: 2}
-    wanted = {(role, pair[role]): k for k, pair in enumerate(trial.pairs) for role in (1, 2)}
+    pair_of = {(role, pair[role]): k for k, pair in enumerate(trial.pairs) for role in (1, 2)}
     out: list[list[Any]] = [[pair[0], None, None] for pair in trial.pairs]
     count = {1: -1, 2: -1}
     for raw in trial.opened.messages(frozenset(t for t in topics if t)):
         role = topics[raw.topic]
         count[role] += 1
-        pair_index = wanted.get((role, count[role]))
+        pair_index = pair_of.get((role, count[role]))
         if pair_index is not None:
             out[pair_index][role] = trial.opened.decode(raw)
     return [(t, colour, depth) for t, colour, depth in out]

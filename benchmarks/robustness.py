@@ -188,9 +188,9 @@ def main() -> None:
     before = {r["trial"]: r for r in rows if r["change"] == "as recorded"}
     cells = []
     for name in CHANGES:
-        found = [r for r in rows if r["change"] == name]
-        failed = [r for r in found if truth[r["trial"]]["outcome"] == "failure"]
-        outcome = sum(r["outcome"] == truth[r["trial"]]["outcome"] for r in found)
+        changed_rows = [r for r in rows if r["change"] == name]
+        failed = [r for r in changed_rows if truth[r["trial"]]["outcome"] == "failure"]
+        outcome = sum(r["outcome"] == truth[r["trial"]]["outcome"] for r in changed_rows)
         right = sum(r["failure_class"] == truth[r["trial"]]["failure_class"] for r in failed)
         unclassified = sum(r["failure_class"] in ("unknown", None) for r in failed)
         reclassified = [
@@ -203,7 +203,7 @@ def main() -> None:
         cells.append(
             [
                 name,
-                f"{outcome}/{len(found)}",
+                f"{outcome}/{len(changed_rows)}",
                 f"{right}/{len(failed)}",
                 str(unclassified),
                 moved or "–",

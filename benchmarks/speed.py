@@ -137,18 +137,18 @@ def measured(recording: Recording, folder: Path) -> tuple[list[list[str]], list[
     ]
 
 
-def _mib(done: Run) -> str:
-    return result.number(done.peak_mib, 0)
+def _mib(process: Run) -> str:
+    return result.number(process.peak_mib, 0)
 
 
 def recordings(folder: Path, frames: int, times: int) -> list[Recording]:
     """The demo, a synthetic 640x480 recording, the real one if available, and the long one."""
     out = [Recording("demo 320x240", DEMO, None)] if DEMO.exists() else []
-    made, long = folder / "made.mcap", folder / "made_long.mcap"
-    truth = synthetic.write(made, frames)
+    short, long = folder / "made.mcap", folder / "made_long.mcap"
+    truth = synthetic.write(short, frames)
     box = ",".join(f"{v:.0f}" for v in truth.boxes[0])
-    rebase(open_trial(TrialSpec("made", made), Config()), long, Motion("still"), times)
-    out.append(Recording("made 640x480", made, box))
+    rebase(open_trial(TrialSpec("made", short), Config()), long, Motion("still"), times)
+    out.append(Recording("made 640x480", short, box))
     data = os.environ.get("DGEVAL_REAL_DATA")
     if data and (Path(data) / KITCHEN).exists():
         out.append(Recording("kitchen mug 640x480 (real)", Path(data) / KITCHEN, KITCHEN_BOX))

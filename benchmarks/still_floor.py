@@ -27,10 +27,10 @@ def apparent_speed(trial: Trial, centre: Array, radius: float) -> tuple[float, f
         if frame.T_base_camera is None:
             continue
         v, u = np.nonzero(frame.depth)
-        seen = frame.camera.backproject(
+        points = frame.camera.backproject(
             u.astype(float), v.astype(float), frame.depth[v, u].astype(float)
         )
-        clouds.append(transform(frame.T_base_camera, seen))
+        clouds.append(transform(frame.T_base_camera, points))
         times.append(frame.t_ns * 1e-9)
     middle = len(clouds) // 2
     normal, offset = _table(clouds[middle], centre)

@@ -43,8 +43,8 @@ def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
     truth: dict[int, Any] = {}
     masks: list[int] = []
     verdict: dict[str, Any] = {}
-    wanted = frozenset({"/truth/object_pose", "/truth/verdict", "/dgeval/belief/mask"})
-    for message in trial.opened.messages(wanted):
+    topics = frozenset({"/truth/object_pose", "/truth/verdict", "/dgeval/belief/mask"})
+    for message in trial.opened.messages(topics):
         if message.topic == "/dgeval/belief/mask":
             masks.append(message.log_ns)
             continue

@@ -78,9 +78,9 @@ def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
     plan = plan_of(campaign, index)
     path = out / arm.replace(", ", "-").replace(" ", "-") / f"{plan.id}.json"
     if path.is_file():
-        found: dict[str, Any] = json.loads(path.read_text())
-        if found["sources"] == source_digest():
-            return found
+        kept: dict[str, Any] = json.loads(path.read_text())
+        if kept["sources"] == source_digest():
+            return kept
     run, _ = simulate(campaign, plan)
     held = run.finish is not None and run.finish.success
     ended = (
@@ -132,11 +132,15 @@ def by(results: dict[str, list[dict[str, Any]]], key: str) -> str:
     """Success of each arm by a column of the results."""
     values = sorted({r[key] for rows in results.values() for r in rows})
     rows = []
-    for arm, found in results.items():
+    for arm, arm_results in results.items():
         cells = []
         for value in [*values, None]:
-            of = [r for r in found if value is None or r[key] == value]
-            cells.append(share(sum(r["ended"] == "held" for r in of), len(of)) if of else "–")
+            selected = [r for r in arm_results if value is None or r[key] == value]
+            cells.append(
+                share(sum(r["ended"] == "held" for r in selected), len(selected))
+                if selected
+                else "–"
+            )
         paper = PAPER[arm]
         rows.append([arm, *cells, f"{paper[0]}/{paper[1]} = {100 * paper[0] / paper[1]:.0f} %"])
     return table(["", *[str(v) for v in values], "all", "paper"], rows)
@@ -176,22 +180,22 @@ def main() -> None:
             ]
             for arm in arms
         }
-        results = {arm: [w.result() for w in of] for arm, of in waiting.items()}
+        results = {arm: [w.result() for w in results_of] for arm, results_of in waiting.items()}
     for kind in options.only.split(","):
-        of = {arm: rows for arm, rows in results.items() if arm.split(",")[0] == kind}
-        parts = [STAND_INS, by(of, "object")]
+        results_of = {arm: rows for arm, rows in results.items() if arm.split(",")[0] == kind}
+        parts = [STAND_INS, by(results_of, "object")]
         if kind == "turntable":
-            parts.append("By nominal speed, mm/s:\n\n" + by(of, "group"))
-        if len(of) == 2:
-            parts.append(paired(of, *of))
+            parts.append("By nominal speed, mm/s:\n\n" + by(results_of, "group"))
+        if len(results_of) == 2:
+            parts.append(paired(results_of, *results_of))
         rows = [
             [
                 arm,
-                *[str(sum(r["ended"] == e for r in found)) for e in ENDS],
-                middle(found, "jump_mm"),
-                middle(found, "jump_deg"),
+                *[str(sum(r["ended"] == e for r in arm_results)) for e in ENDS],
+                middle(arm_results, "jump_mm"),
+                middle(arm_results, "jump_deg"),
             ]
-            for arm, found in of.items()
+            for arm, arm_results in results_of.items()
         ]
         parts += [
             "How they ended, and the median jump of the seed:",

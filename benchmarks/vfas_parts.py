@@ -161,7 +161,7 @@ def left_out(trials: int) -> str:
     """Table of the seed's jump per iteration in closed loop, and of the trials that held."""
     rows = []
     for name in ("table-clearing", "turntable"):
-        for what, changes in WITHOUT.items():
+        for variant, changes in WITHOUT.items():
             changed = scenario_of(name, changes)
             held, metres, degrees = 0, [], []
             for k in range(trials):
@@ -173,13 +173,15 @@ def left_out(trials: int) -> str:
                 each = [jumps([pair]) for pair in seed_pairs(run)]
                 metres += [m for m, _ in each if m is not None]
                 degrees += [d for _, d in each if d is not None]
-            of = [
+            quantiles = [
                 np.median(metres),
                 np.quantile(metres, 0.95),
                 np.median(degrees),
                 np.quantile(degrees, 0.95),
             ]
-            rows.append([name, what, *(number(float(v), 2) for v in of), f"{held}/{trials}"])
+            rows.append(
+                [name, variant, *(number(float(v), 2) for v in quantiles), f"{held}/{trials}"]
+            )
             print(rows[-1], flush=True)
     return table(["", "", "jump mm", "95 %", "jump deg", "95 %", "held"], rows)
 

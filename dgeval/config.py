@@ -441,8 +441,8 @@ def validated(model: type[Model], values: dict[str, Any], what: str, path: Path)
         return model.model_validate(values)
     except ValidationError as error:
         first: Any = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"])
-        raise UsageError(f"{what}: {where}: {first['msg']}", Place(str(path))) from error
+        key = ".".join(str(p) for p in first["loc"])
+        raise UsageError(f"{what}: {key}: {first['msg']}", Place(str(path))) from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -473,16 +473,16 @@ def _assign(values: dict[str, Any], assignment: str) -> None:
 
 def _explain(error: Any) -> str:
     path = [str(p) for p in error["loc"]]
-    where = ".".join(path)
+    key = ".".join(path)
     if error["type"] != "extra_forbidden":
-        return f"{where}: {error['msg']} (got {error['input']!r})"
+        return f"{key}: {error['msg']} (got {error['input']!r})"
     model: type[BaseModel] = Config
     for name in path[:-1]:
         model = model.model_fields[name].annotation  # type: ignore[assignment]
-    near = difflib.get_close_matches(path[-1], model.model_fields, n=1)
+    nearest = difflib.get_close_matches(path[-1], model.model_fields, n=1)
     hint = (
-        f", did you mean {'.'.join([*path[:-1], near[0]])}?"
-        if near
+        f", did you mean {'.'.join([*path[:-1], nearest[0]])}?"
+        if nearest
         else f"; known: {', '.join(model.model_fields)}"
     )
-    return f"unknown key {where}{hint}"
+    return f"unknown key {key}{hint}"

@@ -145,11 +145,11 @@ def replayed(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
 
 def judged(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
     """Second pass and verdict of modelled failures by twin and by geometry, with the truth."""
-    wanted = 3 if few else FAILURES
+    n_wanted = 3 if few else FAILURES
     with ProcessPoolExecutor(2) as pool:
         first = 0
         n_found = 0
-        while n_found < wanted:
+        while n_found < n_wanted:
             jobs = [
                 Job(
                     "failures",
@@ -162,13 +162,13 @@ def judged(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
                     False,
                     False,
                 )
-                for k in range(first, first + wanted)
+                for k in range(first, first + n_wanted)
             ]
             for row in pool.map(judge, jobs):
-                if "twin" in row and n_found < wanted:
+                if "twin" in row and n_found < n_wanted:
                     n_found += 1
                     yield f"judge/{row['index']}", row
-            first += wanted
+            first += n_wanted
 
 
 def simulated(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
@@ -219,13 +219,13 @@ def main() -> None:
     if options.against is None:
         return
     before = json.loads(options.against.read_text())
-    mine = {n: b for n, b in before.items() if n in parts or not (options.only or options.few)}
+    relevant = {n: b for n, b in before.items() if n in parts or not (options.only or options.few)}
     differs = [
         n
-        for n in sorted({*mine, *parts})
-        if n not in parts or n not in mine or parts[n][0] != mine[n][0]
+        for n in sorted({*relevant, *parts})
+        if n not in parts or n not in relevant or parts[n][0] != relevant[n][0]
     ]
-    reworded = [n for n in sorted(parts) if n in mine and parts[n][1] != mine[n][1]]
+    reworded = [n for n in sorted(parts) if n in relevant and parts[n][1] != relevant[n][1]]
     print(f"{len(parts)} parts; values differ in {len(differs)}, sentences in {len(reworded)}")
     for kind, names in (("values", differs), ("sentences", reworded)):
         for name in names:

@@ -128,10 +128,10 @@ def _check_determinism(specs: Any, config: Any, jobs: int, results: Any) -> None
     from dgeval.schema import STAGES
 
     with tempfile.TemporaryDirectory() as folder:
-        again = replay_trials(
+        repeated = replay_trials(
             specs, config, Path(folder), None, True, jobs, on_result=lambda _: None
         )
-    for first, second in zip(results, again, strict=True):
+    for first, second in zip(results, repeated, strict=True):
         if (first.row is None) != (second.row is None):
             raise NotDeterministicError(f"trial {first.id} could be replayed once only")
         if first.row is None or second.row is None:

@@ -51,13 +51,13 @@ Dgeval = Callable[..., subprocess.CompletedProcess[str]]
 def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Manifest of the first 30 frames of one committed trial; nothing is grasped in them."""
     folder = tmp_path_factory.mktemp("short")
-    known = next(
+    trial = next(
         t for t in tomllib.loads((SMOKE / "ci-smoke.toml").read_text())["trial"] if t["id"] == NAME
     )
     shutil.copy(SMOKE / f"{NAME}.mcap", folder / "a.mcap")
     text = (
         'name = "short"\n[[trial]]\nid = "a"\nrecording = "a.mcap"\nframes = [0, 30]\n'
-        f"bbox = {known['bbox']}\n"
+        f"bbox = {trial['bbox']}\n"
     )
     (folder / "short.toml").write_text(text)
     return folder / "short.toml"
@@ -191,9 +191,13 @@ def test_grasps_by_ffhnet_in_place_of_the_recorded_ones(
 @pytest.mark.slow
 def test_a_run_that_is_shorter_differs(before: Run) -> None:
     frames = before.frames("a")
-    found = difference("a", frames, frames.iloc[:20])
-    assert found is not None
-    assert (found.first.frame, found.first.field, found.n_frames) == (20, "n_frames", (30, 20))
+    shorter = difference("a", frames, frames.iloc[:20])
+    assert shorter is not None
+    assert (shorter.first.frame, shorter.first.field, shorter.n_frames) == (
+        20,
+        "n_frames",
+        (30, 20),
+    )
 
 
 @pytest.mark.slow

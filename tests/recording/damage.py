@@ -356,13 +356,13 @@ def write_bag(path: Path, entries: list[Entry], compression: str = "") -> Path:
         writer.set_compression(BagWriter.CompressionFormat[compression.upper()])
     writer.chunk_threshold = 40_000
     with writer:
-        known: dict[str, Any] = {}
+        connections: dict[str, Any] = {}
         for entry in entries:
-            if entry.topic not in known:
-                known[entry.topic] = writer.add_connection(
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(
                     entry.topic, entry.type, typestore=STORES[1]
                 )
-            writer.write(known[entry.topic], entry.log_ns, serialise(entry, 1))
+            writer.write(connections[entry.topic], entry.log_ns, serialise(entry, 1))
     return path
 
 
@@ -370,13 +370,13 @@ def write_folder(path: Path, entries: list[Entry]) -> Path:
     """A ROS 2 SQLite folder: <path>/<name>.db3 and metadata.yaml."""
     shutil.rmtree(path, ignore_errors=True)
     with FolderWriter(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        known: dict[str, Any] = {}
+        connections: dict[str, Any] = {}
         for entry in entries:
-            if entry.topic not in known:
-                known[entry.topic] = writer.add_connection(
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(
                     entry.topic, entry.type, typestore=STORES[2]
                 )
-            writer.write(known[entry.topic], entry.log_ns, serialise(entry, 2))
+            writer.write(connections[entry.topic], entry.log_ns, serialise(entry, 2))
     return path
 
 
@@ -385,8 +385,8 @@ def shuffled(entries: list[Entry]) -> list[Entry]:
 
     Then chunks overlap in time.
     """
-    late = {COLOUR + "/compressed": 6, COLOUR: 6, JOINTS: 3}
-    return sorted(entries, key=lambda e: e.log_ns + late.get(e.topic, 0) * PERIOD_NS)
+    delay_periods = {COLOUR + "/compressed": 6, COLOUR: 6, JOINTS: 3}
+    return sorted(entries, key=lambda e: e.log_ns + delay_periods.get(e.topic, 0) * PERIOD_NS)
 
 
 @dataclass(frozen=True)
@@ -697,9 +697,9 @@ def cases(good: Good, seeds: int, boundaries: int = 24) -> Iterator[Case]:
 
 def _length_cases(data: bytes, layout: str) -> Iterator[Case]:
     """Wrong record lengths."""
-    where = regions(data, layout)
+    parts = regions(data, layout)
     if layout == "mcap":
-        records = [r for r in where if r[0] not in ("magic", "closing magic", "chunk payload")]
+        records = [r for r in parts if r[0] not in ("magic", "closing magic", "chunk payload")]
         for name, start, _ in (
             records[0],
             records[1],
@@ -711,7 +711,7 @@ def _length_cases(data: bytes, layout: str) -> Iterator[Case]:
                 changed = data[: start + 1] + struct.pack("<Q", length) + data[start + 9 :]
                 yield Case("record length", f"{name} at byte {start}: {length}", changed)
     elif layout == "bag":
-        for name, start, end in where[1:4] + where[-3:]:
+        for name, start, end in parts[1:4] + parts[-3:]:
             if name == "chunk payload":
                 continue
             for offset in (
@@ -734,9 +734,9 @@ def _length_cases(data: bytes, layout: str) -> Iterator[Case]:
 def _field_cases(good: Good) -> Iterator[Case]:
     """Changes of single fields that random flips hit too seldom: messages vanish or move."""
     data, layout = good.data, good.kind.layout
-    where = regions(data, layout)
+    parts = regions(data, layout)
     if layout == "mcap":
-        starts = [s for n, s, _ in where if n in ("chunk header", "message", "data end")]
+        starts = [s for n, s, _ in parts if n in ("chunk header", "message", "data end")]
         for start in starts[:: max(1, len(starts) // 6)] + starts[-1:]:
             for bit in range(8):
                 yield Case(
@@ -752,7 +752,7 @@ def _field_cases(good: Good) -> Iterator[Case]:
                     f"{name.decode()}{value}",
                     data[:at] + struct.pack("<I", value) + data[at + 4 :],
                 )
-        for name, start, end in where:
+        for name, start, end in parts:
             if name == "chunk info":
                 at = data.index(b"count=", start, end) + 6
                 value = _u32(data, at)
@@ -762,7 +762,7 @@ def _field_cases(good: Good) -> Iterator[Case]:
                     data[:at] + struct.pack("<I", value - 1) + data[at + 4 :],
                 )
                 at = data.index(b"chunk_pos=", start, end) + 10
-                other = where[[w[0] for w in where].index("chunk header")][1]
+                other = parts[[w[0] for w in parts].index("chunk header")][1]
                 yield Case(
                     "count field",
                     f"chunk_pos at byte {at}",
@@ -955,8 +955,8 @@ def read_outcome(path: Path, truth: list[MessageKey], checked: str) -> Outcome:
     except DgevalError as fault:
         error = fault
     except BaseException as fault:
-        where = traceback.extract_tb(fault.__traceback__)[-1]
-        at = f"{Path(where.filename).name}:{where.lineno}"
+        frame = traceback.extract_tb(fault.__traceback__)[-1]
+        at = f"{Path(frame.filename).name}:{frame.lineno}"
         return Outcome(
             VIOLATION,
             f"foreign exception {type(fault).__name__}: {str(fault)[:200]} ({at})",
@@ -1018,8 +1018,8 @@ def parse_definitions_once() -> None:
 def _in_order_by_topic(keys: list[MessageKey], truth: list[MessageKey]) -> bool:
     """Each topic on its own is an exact prefix; only the order between topics differs."""
     for topic in {m[0] for m in keys}:
-        mine = [m for m in keys if m[0] == topic]
-        if mine != [m for m in truth if m[0] == topic][: len(mine)]:
+        of_topic = [m for m in keys if m[0] == topic]
+        if of_topic != [m for m in truth if m[0] == topic][: len(of_topic)]:
             return False
     return True
 
@@ -1037,11 +1037,11 @@ def in_children(functions: list[Callable[[], Outcome]], seconds: float = 20.0) -
     def together() -> Outcome:
         return Outcome("together", lines=[pickle.dumps([f() for f in functions]).hex()])
 
-    whole = in_child(together, seconds)
-    if whole.kind == "together" and whole.peak_mb < 700:
-        results = pickle.loads(bytes.fromhex(whole.lines[0]))
+    batch = in_child(together, seconds)
+    if batch.kind == "together" and batch.peak_mb < 700:
+        results = pickle.loads(bytes.fromhex(batch.lines[0]))
         for result in results:
-            result.seconds, result.peak_mb = whole.seconds / len(results), whole.peak_mb
+            result.seconds, result.peak_mb = batch.seconds / len(results), batch.peak_mb
         return results
     return [in_child(f, seconds) for f in functions]
 
@@ -1137,10 +1137,10 @@ def judge_cli(code: int, out: str, err: str, name: str, intact: bool | None) -> 
         return Outcome(VIOLATION, f"traceback: {err.strip().splitlines()[-1][:300]}", lines=lines)
     if code not in (0, 2, 3):
         return Outcome(VIOLATION, f"exit code {code}: {err.strip()[-400:]}", lines=lines)
-    shown = name.splitlines()[0]
-    if code and shown not in err and shown in out:
+    file_name = name.splitlines()[0]
+    if code and file_name not in err and file_name in out:
         return Outcome(STDOUT_ONLY, lines=[f"exit {code}", *out.strip().splitlines()[2:4]])
-    if code and shown not in err:
+    if code and file_name not in err:
         where = "nowhere"
         return Outcome(
             VIOLATION,
@@ -1219,10 +1219,12 @@ def _both(
     return apply
 
 
-def _depth_of(make: Callable[[Any], Any], **how: Any) -> Callable[[list[Entry], int], list[Entry]]:
+def _depth_of(
+    make: Callable[[Any], Any], **fields: Any
+) -> Callable[[list[Entry], int], list[Entry]]:
     def apply(entries: list[Entry], ros: int) -> list[Entry]:
-        encoding = how.get("encoding", "16UC1")
-        rest = {k: v for k, v in how.items() if k != "encoding"}
+        encoding = fields.get("encoding", "16UC1")
+        rest = {k: v for k, v in fields.items() if k != "encoding"}
         return _on(
             DEPTH,
             lambda k, e: dataclasses.replace(
@@ -1233,11 +1235,11 @@ def _depth_of(make: Callable[[Any], Any], **how: Any) -> Callable[[list[Entry], 
     return apply
 
 
-def _info(**how: Any) -> Callable[[list[Entry], int], list[Entry]]:
+def _info(**fields: Any) -> Callable[[list[Entry], int], list[Entry]]:
     def apply(entries: list[Entry], ros: int) -> list[Entry]:
-        return _on(INFO, lambda k, e: dataclasses.replace(e, value=camera_info(ros, _t(k), **how)))(
-            entries, ros
-        )
+        return _on(
+            INFO, lambda k, e: dataclasses.replace(e, value=camera_info(ros, _t(k), **fields))
+        )(entries, ros)
 
     return apply
 

@@ -1,8 +1,8 @@
 """The damage campaign: every container with every mutation, each in a child process with limits.
 
 Outcomes are counted in a Markdown table. It catches what the selection in test_damage.py is too
-small to find: a reader that gives wrong or fewer messages and doesn't report it, foreign exceptions,
-hangs, memory out of proportion, tracebacks and wrong exit codes of the command line.
+small to find: a reader that gives wrong or fewer messages and doesn't report it, foreign
+exceptions, hangs, memory out of proportion, tracebacks and wrong exit codes of the command line.
 
     python tests/soak/damage_campaign.py --seeds 200 --out damage.md
 """
