@@ -34,7 +34,8 @@ from dgeval.simulation.seeing import Images, encode
 from dgeval.simulation.trial import FrameBelief, Run
 from dgeval.simulation.truth import Truth
 from dgeval.simulation.world import World, matrix_of
-from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
+from dgeval.robots.dlr_hit_hand import CLOSE_S
+from dgeval.worlds.closing import CONTROL_S, SETTLE_S
 from dgeval.worlds.objects import surface_points
 
 START_NS = 1_800_000_000_000_000_000
