@@ -10,7 +10,7 @@ from __future__ import annotations
 from itertools import combinations
 
 import pytest
-from dgeval.run import TrialResult, exit_code_of
+from dgeval.runs.folder import TrialResult, exit_code_of
 
 
 def result(code: int, row: bool) -> TrialResult:

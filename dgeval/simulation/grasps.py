@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, matrix_from_pose
+from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.robots.hand import hand_for
 from dgeval.robots.mjcf import quat_wxyz
-from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.worlds.closing import LIFT_HEIGHT, LIFT_S, SETTLE_S, swing
 from dgeval.worlds.objects import ObjectModel, at
 from dgeval.worlds.scene import TIMESTEP, build

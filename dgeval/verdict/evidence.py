@@ -12,9 +12,10 @@ from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
+from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.robots.hand import Hand, hand_of
 from dgeval.verdict.beliefs import COMMAND_TOPIC, VELOCITY_TOPIC, Beliefs, beliefs_of
-from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
+from dgeval.worlds.closing import CONTROL_S, SETTLE_S
 
 PERIOD_NS = round(CONTROL_S * 1e9)
 APPROACH_S = 12.0  # before the close, as much of the approach as is looked at

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from dgeval.config import Config
 from dgeval.geometry import Array, Intrinsics, transform
-from dgeval.recording.description import LinkShape
+from dgeval.perception.target import find_target
 from dgeval.recording.frame import Frame
-from dgeval.stages.target import find_target
+from dgeval.robots.description import LinkShape
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -26,12 +26,17 @@ T_BASE_CAMERA[:3, :3] = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0,
 T_BASE_CAMERA[:3, 3] = [0.4, 0.1, 1.2]
 
 
-def image(boxes: Sequence[tuple[Rectangle, float]], plane: float = 1.0, tilt: float = 0.0) -> NDArray[np.float32]:
+def image(
+    boxes: Sequence[tuple[Rectangle, float]], plane: float = 1.0, tilt: float = 0.0
+) -> NDArray[np.float32]:
     """Depth m of a plane across the view, and of flat tops of boxes at their own depths. tilt: m
     per pixel down.
     """
     depth = np.full((CAMERA.height, CAMERA.width), plane, np.float32)
-    depth += np.float32(tilt) * (np.arange(CAMERA.height, dtype=np.float32) - np.float32(CAMERA.cy))[:, None]
+    depth += (
+        np.float32(tilt)
+        * (np.arange(CAMERA.height, dtype=np.float32) - np.float32(CAMERA.cy))[:, None]
+    )
     for (x0, y0, x1, y1), z in boxes:
         depth[y0:y1, x0:x1] = z
     return depth
@@ -94,7 +99,9 @@ def test_without_a_palm_the_largest() -> None:
     assert target(depth, palm=above(SMALL, 0.8), base=None) == LARGE  # camera's pose not known
 
 
-@pytest.mark.parametrize("cut", [(0, 40, 60, 100), (110, 40, 160, 100), (40, 0, 110, 40), (40, 80, 110, 120)])
+@pytest.mark.parametrize(
+    "cut", [(0, 40, 60, 100), (110, 40, 160, 100), (40, 0, 110, 40), (40, 80, 110, 120)]
+)
 def test_what_the_border_cuts_comes_last(cut: Rectangle) -> None:
     """Catches a shelf's edge or a person's arm, larger than the object, at each of the four
     borders.

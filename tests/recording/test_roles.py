@@ -13,7 +13,7 @@ import pytest
 from dgeval.config import RolesConfig
 from dgeval.errors import UsageError
 from dgeval.geometry import Intrinsics
-from dgeval.recording.containers import Opened, Topic
+from dgeval.recording.containers.container import Opened, Topic
 from dgeval.recording.messages import CameraModel
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import ImageHead, Scan, TopicTimes
@@ -150,12 +150,18 @@ def test_what_was_drawn_or_is_the_truth_is_no_camera(name: str) -> None:
     """Catches a replay of a picture with boxes drawn in it, and one that reads the truth."""
     assert roles(scan_of({name: "rgb8"})).colour is None
     assert roles(scan_of({name: "16UC1"})).depth is None
-    assert roles(scan_of(joints=(name,), poses=(name + "_camera", name + "_hand"))) == roles(scan_of())
+    assert roles(scan_of(joints=(name,), poses=(name + "_camera", name + "_hand"))) == roles(
+        scan_of()
+    )
 
 
 def test_a_topic_without_messages_plays_no_role() -> None:
     images = {"/a/rgb": "rgb8", "/a/depth": "16UC1"}
-    found = roles(scan_of(images, joints=("/joint_states",), counts=dict.fromkeys([*images, "/joint_states"], 0)))
+    found = roles(
+        scan_of(
+            images, joints=("/joint_states",), counts=dict.fromkeys([*images, "/joint_states"], 0)
+        )
+    )
     assert (found.colour, found.depth, found.hand_joints) == (None, None, None)
 
 

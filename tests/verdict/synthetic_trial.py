@@ -17,17 +17,21 @@ from typing import Any
 import numpy as np
 from dgeval.config import Config
 from dgeval.geometry import Array, Intrinsics, invert, pose_from_matrix, transform
-from dgeval.hindsight import Hindsight
-from dgeval.physics import hand, urdf
-from dgeval.physics.gripper import FIVE_FINGERS, Gripper
-from dgeval.recording.containers import Opened, RawMessage, Topic
+from dgeval.hindsight.second_pass import Hindsight
+from dgeval.hindsight.smoothing import By, Sighting, smooth
+from dgeval.perception.plane import Plane
+from dgeval.recording.containers.container import Opened, RawMessage, Topic
+from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.messages import Event, JointSample, StampedPose
 from dgeval.recording.robot import robot_states
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import ImageHead, Scan, TopicTimes
-from dgeval.recording.trials import Trial, TrialSpec
-from dgeval.stages.plane import Plane
-from dgeval.stages.smoothing import By, Sighting, smooth
+from dgeval.recording.trials import Trial
+from dgeval.robots import dlr_hit_hand as hand
+from dgeval.robots import urdf
+from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
+from dgeval.robots.hand import Hand
+from dgeval.robots.parallel_jaw import HAND as JAW
 from scipy.spatial.transform import Rotation
 
 GRASP, TARGET = "/dgeval/belief/grasp", "/dgeval/belief/target_pose"
@@ -103,7 +107,10 @@ def sighted(
     """Sightings without noise. moved: what was done to the object by then, as T (4, 4) of the base
     frame.
     """
-    return [Sighting(ns(t), moved(t) @ box_at(t, centre, velocity) @ T_OBJECT_MODEL, by, False) for t in times]
+    return [
+        Sighting(ns(t), moved(t) @ box_at(t, centre, velocity) @ T_OBJECT_MODEL, by, False)
+        for t in times
+    ]
 
 
 SIGHTED = every(0.04, -1.6, -0.12)
@@ -156,7 +163,9 @@ def hand_at(
     return T
 
 
-def hand_poses(times: Iterable[float], pose: Callable[[float], Array] = hand_at) -> list[StampedPose]:
+def hand_poses(
+    times: Iterable[float], pose: Callable[[float], Array] = hand_at
+) -> list[StampedPose]:
     """What tf says of the hand."""
     return [stamped(t, pose(t), "base_link", "hand_base") for t in times]
 
@@ -168,14 +177,19 @@ def joint_position(name: str, seconds: float) -> float:
 
 
 def joint_samples(times: Iterable[float]) -> list[JointSample]:
-    return [JointSample(ns(t), {name: joint_position(name, t) for name in hand.JOINT_NAMES}) for t in times]
+    return [
+        JointSample(ns(t), {name: joint_position(name, t) for name in hand.JOINT_NAMES})
+        for t in times
+    ]
 
 
 def stamped(seconds: float, T: Array, parent: str = "base_link", child: str = "") -> StampedPose:
     return StampedPose(ns(seconds), parent, child, pose_from_matrix(T))
 
 
-def twist(seconds: float, linear: Sequence[float] | Array, angular: Sequence[float] | Array = (0, 0, 0)) -> tuple[int, Array]:
+def twist(
+    seconds: float, linear: Sequence[float] | Array, angular: Sequence[float] | Array = (0, 0, 0)
+) -> tuple[int, Array]:
     return ns(seconds), np.array([*linear, *angular], dtype=float)
 
 
@@ -219,9 +233,7 @@ def own_model(n: int = 3000) -> Array:
 @cache
 def urdf_of(gripper: str = "fingers") -> str:
     """The description of dgeval's own arm with the DLR-HIT Hand II or the parallel jaw."""
-    from dgeval.physics.gripper import JAW
-
-    chosen: Gripper = FIVE_FINGERS if gripper == "fingers" else JAW
+    chosen: Hand = FIVE_FINGERS if gripper == "fingers" else JAW
     return urdf.robot_urdf(chosen.T_hand_camera, chosen)
 
 
@@ -239,8 +251,14 @@ class Container:
     def __init__(self, models: Sequence[tuple[float, Array]]) -> None:
         self.path = Path("synthetic.mcap")
         self.damage: list[Any] = []
-        self.topics = {MODEL: Topic(MODEL, "sensor_msgs/msg/PointCloud2", "cdr", None, _cloud)} if models else {}
-        self._messages = [RawMessage(MODEL, ns(t), points.astype("<f4").tobytes()) for t, points in models]
+        self.topics = (
+            {MODEL: Topic(MODEL, "sensor_msgs/msg/PointCloud2", "cdr", None, _cloud)}
+            if models
+            else {}
+        )
+        self._messages = [
+            RawMessage(MODEL, ns(t), points.astype("<f4").tobytes()) for t, points in models
+        ]
 
     def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]:
         return (m for m in self._messages if m.topic in topics)
