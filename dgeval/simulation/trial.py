@@ -43,7 +43,7 @@ class Usable:
 class Tick:
     """One control period: state before it, and what the robot believed and commanded in it.
 
-    preshape (15,): of the grasp chosen. contact, foreign: the hand touches the object, or anything else. distance: hand to
+    preshape (15,): of the grasp chosen. touch.object, touch.other: the hand touches the object, or anything else. distance: hand to
     object, m, up to NEAR, in every third period of the approach.
     """
 
@@ -145,7 +145,7 @@ def run_trial(
         newest = arriving.at(t_ns)
         usable = newest[1] if newest else None
         snapshot = world.save()
-        contact, foreign = world.touching()
+        touch = world.touch()
         if finisher is not None:
             tick_record = Tick(
                 snapshot,
@@ -156,8 +156,8 @@ def run_trial(
                 np.zeros(6),
                 None,
                 True,
-                contact,
-                foreign,
+                touch.object,
+                touch.other,
                 None,
             )
             run.ticks.append(tick_record)
@@ -220,8 +220,8 @@ def run_trial(
                 twist,
                 score,
                 fire,
-                contact,
-                foreign,
+                touch.object,
+                touch.other,
                 distance,
             )
         )

@@ -74,7 +74,10 @@ def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
             T @ at(0, 0, -share * scenario.pipeline.vfas.pregrasp)
             for share in np.linspace(1.0, 0.0, WAYPOINTS)
         )
-        if all(world.put_arm(way) < REACHED and not any(world.touching()) for way in ways):
+        if all(
+            world.put_arm(way) < REACHED and not (world.touch().object or world.touch().other)
+            for way in ways
+        ):
             error = scenario.seed_error
             xi = np.concatenate(
                 [rng.normal(0, error.position, 3), rng.normal(0, np.radians(error.angle), 3)]
@@ -143,7 +146,7 @@ def run_vfas(
             n_frame += 1
         newest = arriving.at(t_ns)
         snapshot = world.save()
-        contact, foreign = world.touching()
+        touch = world.touch()
         still = np.zeros(3)
         if finisher is not None:
             run.ticks.append(
@@ -156,8 +159,8 @@ def run_vfas(
                     np.zeros(6),
                     None,
                     True,
-                    contact,
-                    foreign,
+                    touch.object,
+                    touch.other,
                     None,
                 )
             )
@@ -188,8 +191,8 @@ def run_vfas(
                 twist,
                 score,
                 execute,
-                contact,
-                foreign,
+                touch.object,
+                touch.other,
                 distance,
             )
         )

@@ -86,7 +86,7 @@ def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
         T, preshape = candidate(generator(seed, f"grasps/{thing.name}", k), thing)
         world.put(T, preshape)
         if world.touches():
-            if overlaps < tried // 4 and world.overlap() > OVERLAP:
+            if overlaps < tried // 4 and world.penetration() > OVERLAP:
                 rows.append((T, preshape, False, True))
                 overlaps += 1
             continue
@@ -101,7 +101,7 @@ def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
         k += 1
         world.put(T, preshape)
         if world.touches():
-            if overlaps < tried // 2 and world.overlap() > OVERLAP:
+            if overlaps < tried // 2 and world.penetration() > OVERLAP:
                 rows.append((T, preshape, False, True))
                 overlaps += 1
         elif attempt(T, preshape):
@@ -142,7 +142,7 @@ def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: in
         )
         for T, q in zip(invert(view.T_view_object) @ T_view_palm, drawn, strict=True):
             world.put_palm(T, q)
-            deep = world.overlap(anything=True) > LIGHT_TOUCH
+            deep = world.penetration(anything=True) > LIGHT_TOUCH
             poses.append(T)
             joints.append(q)
             overlapping.append(deep)
@@ -156,7 +156,7 @@ def holds(world: FlyingHand, T_object_palm: Array, joints: Array) -> bool:
     A view says nothing of the far side, so many that look free lie in it; physics alone would push them out and lift.
     """
     world.put_palm(T_object_palm, joints)
-    return world.overlap(anything=True) <= LIGHT_TOUCH and world.lifts(joints, shake=True)
+    return world.penetration(anything=True) <= LIGHT_TOUCH and world.lifts(joints, shake=True)
 
 
 def free_on_table(

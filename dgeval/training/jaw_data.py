@@ -78,7 +78,7 @@ def view(
     T_base_camera = pose_of(world.data, "hand_base") @ HAND.T_hand_camera
     base = transform(T_base_camera, camera.reshape(-1, 3))
     local = transform(invert(T_base_seed), base)
-    own = eyes.mask_of(np.flatnonzero(world.of_hand).tolist()).ravel()
+    own = eyes.mask_of(np.flatnonzero(world.is_hand).tolist()).ravel()
     kept = np.flatnonzero(
         (depth.ravel() > D405.min_range) & (np.abs(local).max(axis=1) < NEAR) & ~own
     )
