@@ -470,8 +470,8 @@ def test_what_a_draw_weighs(
 
 def test_disagreement_is_measured_from_the_best_draw(physics: Replace) -> None:
     """Catches an offset that all draws share, as of a sensor, and that makes all of them poor."""
-    base = {"mismatch": 0.2, "strayed": 0.01}
-    twin = physics(*[GivenDraw(**base)] * 6, GivenDraw(mismatch=0.23, strayed=0.01))  # type: ignore[arg-type]
+    best = GivenDraw(mismatch=0.2, strayed=0.01)
+    twin = physics(*[best] * 6, GivenDraw(mismatch=0.23, strayed=0.01))
     decided(still(), "twin", 12, 0, 0.0)
     assert len(twin.made) >= 12
     assert twin.weights[0] == pytest.approx(1.0)
