@@ -49,7 +49,7 @@ HANDED_OVER = Thresholds(moved_m=0.012)
 
 @dataclass(frozen=True)
 class Facts:
-    """What is known of a failed grasp. None: not found out yet; only `put_back` and `free_pose` may be.
+    """What is known of a failed grasp. Only `put_back` and `free_pose` may be None: not asked yet.
 
     displacement_m, displacement_deg: furthest off the undisturbed path before the close (of the
     whole approach if it never came). curve: (offset s from the real close, success) of other close
@@ -146,7 +146,7 @@ def sub_cause_named(name: str) -> SubCause:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Class and sub-cause of a failure; shift_s: how much later (positive) the close should have come."""
+    """Class and sub-cause of a failure; shift_s: by how much later the close works, s."""
 
     failure_class: FailureClass
     sub_cause: str

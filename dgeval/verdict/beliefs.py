@@ -1,9 +1,12 @@
-"""What the robot believed at the close, against hindsight: how far each part put the palm off (DESIGN 2.4).
+"""What the robot believed at the close, against hindsight: how far each part put the palm off.
 
-servo: palm against the grasp it was sent to. tracking: its pose of the object against hindsight's when it last saw it.
-velocity: how far the object was carried wrongly since then. Synthesis and execution have no such distance: the first is
-what is left when all of these are taken out, the second is told by the close times that work. A hand that never closed has
-no close: what counts there is whether the grasp it was sent to would have held, and whether it came to it.
+- servo: the palm against the grasp that it was sent to;
+- tracking: the robot's pose of the object against hindsight's, when the robot last saw it;
+- velocity: how far the robot carried the object wrongly since then.
+
+Synthesis and execution have no such distance: synthesis is what is left when all of these are taken
+out, execution shows in the close times that work. For a hand that never closed, what counts is
+whether the grasp that it was sent to would have held, and whether it came there.
 """
 
 from __future__ import annotations
@@ -22,31 +25,26 @@ from dgeval.recording.trials import GRASP_TOPIC, Trial
 TARGET_TOPIC, VELOCITY_TOPIC = "/dgeval/belief/target_pose", "/dgeval/belief/velocity"
 COMMAND_TOPIC = "/dgeval/belief/twist_command"
 MASK_TOPIC, MODEL_TOPIC = "/dgeval/belief/mask", "/dgeval/belief/model"
-DRIFT_NS, LEAST_SIGHTINGS = (
-    1_000_000_000,
-    5,
-)  # before its last sighting, and how many in it, whose errors tell a drift
+# before its last sighting, and how many in it, whose errors tell a drift
+DRIFT_NS, LEAST_SIGHTINGS = 1_000_000_000, 5
 SEEN_NS = 50_000_000  # from a time to the sighting that tells where a pushed object was
-BEFORE_PUSH_NS, STEADY_NS = (
-    300_000_000,
-    500_000_000,
-)  # a push is told late; over which a believed velocity is taken
+# a push is told late; over which a believed velocity is taken
+BEFORE_PUSH_NS, STEADY_NS = 300_000_000, 500_000_000
 GAIN_LEAST_M = 0.01  # root mean square way, level and upright, over which gains can be told
-MOST_POINTS, ROUNDS, KEPT = (
-    600,
-    60,
-    0.8,
-)  # of laying hindsight's surface on the robot's model: its trimmed share is used
+# of laying hindsight's surface on the robot's model: its trimmed share is used
+MOST_POINTS, ROUNDS, KEPT = 600, 60, 0.8
 
 
 @dataclass(frozen=True)
 class Beliefs:
-    """errors: by part, m (3,), positive as the palm was displaced by it at the close; without one, when nearest to its grasp.
+    """The robot's errors, in one frame.
 
-    goal: the palm (4, 4) in the grasp commanded then, on the undisturbed object at the close or the end of the log; None
-    where the object was not seen. It is where the hand would have been without the errors of servo and prediction.
-    gains: 1/s, level and upright, with which the commanded twist went after the grasp up to the first contact; None without
-    commands.
+    errors: by part, m (3,), positive as the palm was displaced by it at the close (without a close:
+    when the palm was nearest to its grasp). goal: T (4, 4) of the palm in the grasp commanded then,
+    on the undisturbed object at the close or at the end of the log: where the hand would have been
+    without the errors of servo and prediction; None where the object was not seen. gains: 1/s,
+    level and upright, with which the commanded twist closed the error up to the first contact; None
+    without commands.
     """
 
     errors: dict[str, Array]
@@ -74,7 +72,7 @@ def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | Unknown:
     if palm is None or not grasps or len(targets) < 2:
         return Unknown("beliefs not recorded")
     velocities = [v[:3] for t, v in trial.scan.twists.get(VELOCITY_TOPIC, []) if t <= at_ns]
-    # the grasp was last recorded with a frame; it has moved on with the object since, as the robot believed
+    # the grasp was last recorded with a frame; the robot believed that it moved on with the object
     velocity = velocities[-1] if velocities else np.zeros(3)
     grasp = matrix_from_pose(grasps[-1].pose)[:3, 3] + velocity * (at_ns - grasps[-1].t_ns) * 1e-9
     masks = (
@@ -120,7 +118,10 @@ def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | Unknown:
 
 
 def steady(twists: list[tuple[int, Array]], until_ns: int) -> list[Array]:
-    """The median velocity (3,) m/s over STEADY_NS up to a time; empty where the filter had not gone on for as long before."""
+    """Median velocity (3,) m/s over STEADY_NS up to a time.
+
+    Empty where the filter had not been running for as long before that.
+    """
     recent = [v[:3] for t, v in twists if until_ns - STEADY_NS <= t <= until_ns]
     return (
         [np.median(recent, axis=0)] if recent and twists[0][0] <= until_ns - 2 * STEADY_NS else []
@@ -128,7 +129,10 @@ def steady(twists: list[tuple[int, Array]], until_ns: int) -> list[Array]:
 
 
 def gains_of(apart: list[Array], speeds: list[Array]) -> tuple[float, float] | None:
-    """Gains 1/s, level and upright, of commanded speeds (3,) m/s less the target's, by the way to it (3,) m: least squares."""
+    """Gains 1/s, level and upright, by least squares.
+
+    apart: from palm to grasp, m (3,) each. speeds: commanded less the target's, m/s (3,) each.
+    """
     if len(apart) < LEAST_SIGHTINGS:
         return None
     e, v = np.array(apart), np.array(speeds)
@@ -168,7 +172,10 @@ def _nearest_ns(trial: Trial, grasps: list[StampedPose]) -> int | None:
 
 
 def growth(t_ns: list[int], errors: list[Array]) -> Array:
-    """How fast an error (3,) m grows, m/s (3,), by a straight line through it; 0 with fewer than LEAST_SIGHTINGS."""
+    """Slope m/s (3,) of a straight line through errors (3,) m over time.
+
+    0 with fewer than LEAST_SIGHTINGS.
+    """
     if len(errors) < LEAST_SIGHTINGS:
         return np.zeros(3)
     t = np.array(t_ns, dtype=float) * 1e-9
@@ -179,11 +186,12 @@ def growth(t_ns: list[int], errors: list[Array]) -> Array:
 def carried(
     tracking: Array, drift: Array, wrong: Array, seconds: float, gain: float | None
 ) -> dict[str, Array]:
-    """Errors of tracking and velocity at the end, from that of tracking at the last sighting, `seconds` before.
+    """Errors of tracking and velocity, m (3,), `seconds` after the last sighting.
 
-    drift m/s: how fast that grew; what the belief in the velocity is wrong by because of it is tracking's. wrong m/s: the
-    believed velocity less the true one. gain 1/s: of the servo, where the hand never closed: it runs ahead of a grasp, or
-    behind it, by the velocity's error over its gain.
+    tracking m: at the last sighting. drift m/s: how fast that grew; what it makes the believed
+    velocity wrong by is tracking's. wrong m/s: believed velocity less the true one. gain 1/s: of
+    the servo, where the hand never closed: it runs ahead of a grasp, or behind it, by the
+    velocity's error over its gain.
     """
     return {
         "tracking": tracking + drift * seconds,
@@ -192,7 +200,10 @@ def carried(
 
 
 def _there(hindsight: Hindsight, t_ns: int) -> Array | None:
-    """T_base_model where the object really was: on its path, or where it was seen once it had been pushed off it."""
+    """T_base_model (4, 4) where the object really was at a time.
+
+    On its path, or, once it had been pushed off it, where it was seen.
+    """
     if hindsight.pushed_ns is None or t_ns < hindsight.pushed_ns:
         return hindsight.path.at(t_ns)
     near = min(hindsight.sightings, key=lambda s: abs(s.t_ns - t_ns))
@@ -229,10 +240,11 @@ def _drift(trial: Trial, own: list[StampedPose], hindsight: Hindsight) -> Array:
 def _tracking(
     trial: Trial, first: StampedPose, last: StampedPose, hindsight: Hindsight
 ) -> Array | None:
-    """Believed minus hindsight place of the object at the robot's last own sighting, m (3,), base frame.
+    """Believed minus hindsight place of the object at the last own sighting, m (3,), base frame.
 
-    The robot's model frame is its own: its recorded model says where in it the object lies. Without one its first belief is
-    laid on hindsight's path, and an error it had from the start can't be seen.
+    The robot's model frame is its own: its recorded model says where in it the object lies. Without
+    a model its first belief is laid on hindsight's path, and an error that it had from the start
+    can't be seen.
     """
     T_first, T_last = trial.robot.T_base_camera(first.t_ns), trial.robot.T_base_camera(last.t_ns)
     there = _there(hindsight, last.t_ns)
@@ -265,7 +277,10 @@ def _own_model(trial: Trial, t_ns: int) -> Array | None:
 
 
 def laid_on(points: Array, target: Array) -> Array:
-    """T (4, 4) that moves points (n, 3) onto a cloud (m, 3): trimmed iterative closest points, from where they are."""
+    """T (4, 4) that moves points (n, 3) onto a cloud (m, 3), from where they are.
+
+    Trimmed iterative closest points: the nearest KEPT share of the matches counts.
+    """
     tree = cKDTree(target)
     points = points[:: max(1, len(points) // MOST_POINTS)]
     T = np.eye(4)

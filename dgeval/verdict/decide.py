@@ -24,25 +24,29 @@ from dgeval.verdict.beliefs import Beliefs
 
 # Development trials are those of `python -m benchmarks.verdict --seed 2000` (scenario failures),
 # `--scenario handover --seed 77`, and the 120 rendered ones of `dgeval simulate conveyor`.
-BLIND_SD_M = 0.025  # m, standard deviation of the object's place beyond which step 1 stops; development trials
-PRIOR = 0.15  # draws, added to each class: three draws that agree are right in 9 of 10 development trials
-TRUSTED = 0.05  # share of draws that fail as recorded, below which the instrument is not believed; development trials
-RARELY = 0.25  # likewise for a collision: an object displaced until the grasp fails is easily hit; development trials
-ENOUGH = (
-    0.5  # weighted share of the draws in which removing an error must restore success: a majority
-)
-TOLERANCE_M = (
-    0.007  # m; five of six grasps survive 4 mm and 3 degrees, and hindsight is off by 2 to 4 mm
-)
-NEVER_CLOSED_M = 0.012  # m, likewise for a hand that never closed, where nothing can be tried again without the error
-GAIN_LEAST = 0.15  # 1/s; a level gain below it is not a servo at work; development trials
-GAINS_APART = 1.6  # upright gain over level gain, or its inverse, from which the servo's law is wrong; development trials
-HUGE = 5.0  # times TOLERANCE_M; of a part that is to blame though the twin does not hold without it; development trials
-ALONE = 0.7  # probability stated where a part is blamed because it alone is off; share right on development trials
-CLEARLY, CLEARLY_ALL = (
-    1.5,
-    2.0,
-)  # times the next largest error, where several restore or only all do; development trials
+# m, standard deviation of the object's place beyond which step 1 stops; development trials
+BLIND_SD_M = 0.025
+# draws, added to each class: three draws that agree are right in 9 of 10 development trials
+PRIOR = 0.15
+# share of draws that fail as recorded, below which no instrument is believed; development trials
+TRUSTED = 0.05
+# likewise for a collision: a displaced object is easily hit; development trials
+RARELY = 0.25
+# weighted share of the draws in which removing an error must restore success: a majority
+ENOUGH = 0.5
+# m; five of six grasps survive 4 mm and 3 degrees, hindsight is off by 2 to 4 mm (benchmarks.truth)
+TOLERANCE_M = 0.007
+# m, likewise for a hand that never closed, where nothing can be tried again; development trials
+NEVER_CLOSED_M = 0.012
+GAIN_LEAST = 0.15  # 1/s; a lower level gain is no servo at work; development trials
+# upright over level gain, or its inverse, beyond which the law is wrong; development trials
+GAINS_APART = 1.6
+# times TOLERANCE_M; of a part that is to blame though the twin fails without it; development trials
+HUGE = 5.0
+# probability where a part is blamed because it alone is off; share right on development trials
+ALONE = 0.7
+# times the next largest error, where several restore success or only all do; development trials
+CLEARLY, CLEARLY_ALL = 1.5, 2.0
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class Draws:
-    """All draws that were asked, the share of all draws that fail as recorded, and the instrument."""
+    """The draws that were asked, the share of all draws that fail as recorded, the instrument."""
 
     asked: tuple[Draw, ...]
     reproduced: float
@@ -113,7 +117,7 @@ def undecided(reason: str, instrument: str) -> Decision:
 
 
 def too_uncertain(sd_m: float) -> Unknown | None:
-    """Step 1: whether the object's place at the close, with this standard deviation m, says anything."""
+    """Step 1: why a place with this standard deviation m says nothing; None where it does."""
     if sd_m > BLIND_SD_M:
         return Unknown(f"the object's place at the close is uncertain by {sd_m * 1000:.0f} mm")
     return None
@@ -133,7 +137,7 @@ def decide(draws: Draws, least: float) -> Decision:
 
 
 def vote(asked: Sequence[Draw]) -> Array:
-    """Step 3: shares (3,) of the classes, each draw by its weight, with PRIOR draws for each class."""
+    """Step 3: shares (3,) of the classes; draws by weight, and PRIOR draws for each class."""
     weights = np.array([d.weight for d in asked])
     votes = [
         float(weights[[d.verdict.failure_class == c for d in asked]].sum()) + PRIOR for c in CLASSES
@@ -161,7 +165,7 @@ def doubt_of(draws: Draws, best: FailureClass, p: float, least: float) -> Unknow
 
 
 def lead_of(asked: Sequence[Draw], best: FailureClass) -> Verdict:
-    """Step 5: the sub-cause of the first draw that fails as recorded, and the median shift of its like."""
+    """Step 5: sub-cause of the first draw that fails as recorded, median shift of its like."""
     chosen = [d for d in asked if d.verdict.failure_class == best]
     lead = max(chosen, key=lambda d: d.reproduced).verdict
     alike = [d.verdict for d in chosen if d.verdict.sub_cause == lead.sub_cause]
@@ -170,7 +174,7 @@ def lead_of(asked: Sequence[Draw], best: FailureClass) -> Verdict:
 
 
 def blame_of(decision: Decision, beliefs: Beliefs | Unknown) -> Blame:
-    """Step 6: the part without whose error the same approach would have worked; the first case that holds.
+    """Step 6: the part without whose error the same approach works; the first case that holds.
 
     Where no part is off by more than grasps survive, what the robot was after
     would have failed too (synthesis); where another close time lifts the object it is execution.
@@ -261,7 +265,7 @@ def _share(chosen: Sequence[Draw], key: str) -> float:
 
 
 def wrong_law(beliefs: Beliefs) -> bool:
-    """Whether the commands went after the grasp with one gain level and quite another one upright."""
+    """Whether the commanded twist has one gain level and quite another one upright."""
     if beliefs.gains is None:
         return False
     level, upright = beliefs.gains

@@ -17,22 +17,17 @@ from dgeval.verdict.twin import Twin
 from dgeval.worlds.shape import solid_from_cloud
 
 # Development trials: see `decide`.
-NOT_REPRODUCED = (
-    0.3  # weight of a draw in which the recorded failure does not happen; development trials
-)
-PROBES = (
-    12  # draws in which the recorded approach and close are tried, the later half twice as wide
-)
+# weight of a draw in which the recorded failure does not happen; development trials
+NOT_REPRODUCED = 0.3
+# draws in which the recorded approach and close are tried, the later half twice as wide
+PROBES = 12
 PROBES_MOST = 30  # draws, where few of them agree with the log
 MOST = 7  # draws that are asked, where fewer do not agree; costs some 1.5 s each
-STRAYED_SD = (
-    0.002  # m; of where the object is while the hand is at it: registration, docs/simulation.md
-)
+# m; of where the object is while the hand is at it: registration, docs/simulation.md
+STRAYED_SD = 0.002
 SD_LEAST_M, SD_LEAST_DEG = 0.0015, 1.0  # nothing is known better than that (benchmarks.truth)
-SD_MOST_M, SD_MOST_DEG = (
-    0.006,
-    5.0,
-)  # wider draws hardly ever agree with the log; development trials
+# wider draws hardly ever agree with the log; development trials
+SD_MOST_M, SD_MOST_DEG = 0.006, 5.0
 SD_FRICTION, SD_MASS = 0.15, 0.7  # of logarithms; household objects have 70 to 900 kg/m^3
 
 

@@ -1,4 +1,7 @@
-"""What a verdict rests on: the recorded hand, the close, and the object as hindsight sees it. Nothing of the truth."""
+"""What a verdict rests on: the recorded hand, the close, and the object as hindsight sees it.
+
+Nothing here reads the truth.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
 from dgeval.robots.dlr_hit_hand import CLOSE_S
-from dgeval.robots.hand import Hand, hand_of
+from dgeval.robots.hand import Hand, hand_of, hands
 from dgeval.verdict.beliefs import COMMAND_TOPIC, VELOCITY_TOPIC, Beliefs, beliefs_of
 from dgeval.worlds.closing import CONTROL_S, SETTLE_S
 
@@ -21,10 +24,8 @@ PERIOD_NS = round(CONTROL_S * 1e9)
 APPROACH_S = 12.0  # before the close, as much of the approach as is looked at
 MIN_REGISTERED = 5  # frames; its shape and path are guesses with fewer
 HELD_ABOVE_M = 0.03  # of the lowest point over the support: what is higher does not stand on it
-COMMAND_AGE_NS, MEASURED_TICKS = (
-    50_000_000,
-    5,
-)  # of a command that still holds; of the hand's motion without commands
+# of a command that still holds; of the hand's motion without commands
+COMMAND_AGE_NS, MEASURED_TICKS = 50_000_000, 5
 RISES_M = 0.007  # a trembling hand moves by 10 mm and more; registration wobbles by 1 to 3 mm
 NO_SUPPORT_M = 0.25  # from the lowest point down to where a support is put when none was seen
 CLOSING = round(
@@ -34,12 +35,15 @@ CLOSING = round(
 
 @dataclass(frozen=True)
 class HandMotion:
-    """The recorded hand at even times: t_ns (n,), T_support_hand (n, 4, 4), joint positions of its drives, rad or m (n, k).
+    """The recorded hand at even times, n ticks of PERIOD_NS.
 
-    Support frame: z up from the surface the object stands on (z = 0), y along its motion. `velocity` (n, 3) m/s is what the
-    hand would follow with if it closed there: the robot's belief where it is recorded, else the object's velocity.
-    going (6,) m/s, rad/s: twist of the hand's frame with which it would have gone on instead of closing: as commanded last,
-    else as measured. closing (m, k): the drives' positions at the ticks from the close to the lift, as far as recorded.
+    t_ns (n,). T_support_hand (n, 4, 4): hand base in the support frame, whose z points up from the
+    surface that the object stands on (z = 0) and whose y lies along its motion. fingers (n, k) rad
+    or m: the drives' joint positions. velocity (n, 3) m/s: what the hand would follow with if it
+    closed then: the robot's belief where it is recorded, else the object's velocity. going (6,)
+    m/s, rad/s: twist of the hand's base with which it would have gone on instead of closing: as
+    commanded last, else as measured. closing (m, k): the drives' positions at the ticks from the
+    close to the lift, as far as recorded.
     """
 
     t_ns: NDArray[np.int64]
@@ -52,13 +56,15 @@ class HandMotion:
 
 @dataclass(frozen=True)
 class Scene:
-    """One approach in the support frame. held: the object is held in the air by someone, who lets go when it is gripped.
+    """One approach in the support frame. Reference: the close, or the last tick if it never came.
 
-    points (m, 3) m of the object, where it is at the reference, which is the close (or the last tick if it never came).
-    free (n, 3) m: its undisturbed displacement by tick from there; velocity (3,) m/s: of the undisturbed object then.
-    sd_m, sd_deg: of the object's place and turn at the close, or when the hand was nearest if it never came. close: tick of
-    the close command, None if it never came. seen (n, 4, 4): by tick, what moves the object from where it is at the
-    reference to where it was seen, NaN where it was not. beliefs: the robot's at the reference, or why they are not known.
+    points (m, 3) m: the object at the reference. free (n, 3) m: its undisturbed displacement from
+    there, by tick. velocity (3,) m/s: of the undisturbed object at the reference. sd_m, sd_deg:
+    standard deviations of its place and turn at the close, or when the hand was nearest if it never
+    came. close: tick of the close command. seen (n, 4, 4): by tick, the motion from the reference
+    to where the object was seen, NaN where it was not. gripper: the recorded hand. beliefs: the
+    robot's at the reference. held: a person holds the object in the air and lets go when it is
+    gripped.
     """
 
     hand: HandMotion
@@ -80,7 +86,10 @@ class Scene:
 
 
 def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
-    """The approach up to the close, or to the end of the log without one; `Unknown` says why there can't be one."""
+    """The approach up to the close, or to the end of the log without one.
+
+    `Unknown` says why there can't be one.
+    """
     close_ns = trial.event_ns("close")
     description = trial.robot.description
     base = trial.robot.base_frame
@@ -90,7 +99,8 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
     gripper = hand_of(mounts)
     if gripper is None:
         return Unknown(
-            "the twin knows the DLR-HIT Hand II and dgeval's jaw gripper only, and the description's joints are not theirs"
+            "the description's joints are those of no hand that dgeval knows "
+            f"({', '.join(h.name for h in hands())})"
         )
     if hindsight.n_registered < MIN_REGISTERED:
         return Unknown(
@@ -116,7 +126,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
     free = T_support_base[:3, :3] @ hindsight.path.velocity[-1]
     free[2] *= held
     kept: list[int] = []
-    hands, fingers, velocities = [], [], []
+    poses, fingers, velocities = [], [], []
     for t_ns in times.tolist():
         T = trial.robot.tree.lookup(base, root, t_ns)
         q = [
@@ -126,11 +136,12 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
         if T is None or any(v is None for v in q):
             if kept:
                 return Unknown(
-                    f"the hand's pose is not known at {(t_ns - end_ns) * 1e-9:.2f} s before the end of the approach"
+                    f"the hand's pose is not known {(end_ns - t_ns) * 1e-9:.2f} s before the end "
+                    "of the approach"
                 )
             continue
         kept.append(t_ns)
-        hands.append(T_support_base @ T)
+        poses.append(T_support_base @ T)
         fingers.append(q)
         k = int(np.searchsorted(believed_ns, t_ns, side="right")) - 1
         velocities.append(T_support_base[:3, :3] @ believed[k][1][:3] if k >= 0 else free)
@@ -141,8 +152,8 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
     )
     nearest = -1
     if close_ns is None:
-        # without a close, what counts is how well its place was known when the hand was at it, not at the log's end
-        palms = np.array([T @ np.append(gripper.centre, 1.0) for T in hands])[:, :3]
+        # without a close its place must be known when the hand was at it, not at the log's end
+        palms = np.array([T @ np.append(gripper.centre, 1.0) for T in poses])[:, :3]
         nearest = int(np.argmin(np.linalg.norm(palms - transform(T_support_base, centres), axis=1)))
     moved = (centres - centres[-1]) @ T_support_base[:3, :3].T
     moved[:, 2] *= held
@@ -157,8 +168,11 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
             break
         closing.append(row)
     hand = HandMotion(
-        np.array(kept, dtype=np.int64), np.array(hands), np.array(fingers, dtype=float), np.array(velocities),
-        _going(trial, gripper, np.array(hands), T_support_base, end_ns),
+        np.array(kept, dtype=np.int64),
+        np.array(poses),
+        np.array(fingers, dtype=float),
+        np.array(velocities),
+        _going(trial, gripper, np.array(poses), T_support_base, end_ns),
         np.array(closing, dtype=float).reshape(-1, len(gripper.drives)),
     )  # fmt: skip
     beliefs = beliefs_of(trial, hindsight)
@@ -180,7 +194,8 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
 def _rises(hindsight: Hindsight, T_support_base: Array, end_ns: int) -> bool:
     """Whether the object went up or down before the close, as only what someone holds does.
 
-    That nothing was seen of it near its support says little: of a tall box a camera above sees the top alone.
+    That nothing was seen of it near its support says little: of a tall box a camera above sees the
+    top alone.
     """
     centre = hindsight.path.centroid[None]
     until = end_ns if hindsight.pushed_ns is None else min(hindsight.pushed_ns, end_ns)
@@ -218,9 +233,10 @@ def of_hand(twist: Array, T_hand: Array, T_hand_palm: Array) -> Array:
 
 
 def _support_frame(hindsight: Hindsight, t_ns: int) -> Array:
-    """T_support_base: z along the support's normal from its surface, y along the motion (base y projected, at rest).
+    """T_support_base (4, 4): z along the support's normal from its surface, y along the motion.
 
-    Without a support z is the base frame's, and a surface is put NO_SUPPORT_M below the object.
+    At rest y is the base frame's, projected. Without a support z is the base frame's, and a surface
+    is put NO_SUPPORT_M below the object.
     """
     points = transform(hindsight.path.at(t_ns), hindsight.points)
     n, d = np.array([0.0, 0.0, 1.0]), NO_SUPPORT_M - float(points[:, 2].min())
@@ -242,7 +258,7 @@ def _support_frame(hindsight: Hindsight, t_ns: int) -> Array:
 def _seen(
     hindsight: Hindsight, T_support_base: Array, t_ns: NDArray[np.int64], end_ns: int
 ) -> Array:
-    """Sightings at the ticks nearest to them, smoothed over three so that a single wrong one says nothing."""
+    """Sightings at the ticks nearest to them; one that its neighbours contradict is left out."""
     out = np.full((len(t_ns), 4, 4), np.nan)
     T_reference = T_support_base @ hindsight.path.at(end_ns)
     at = [s for s in hindsight.sightings if t_ns[0] <= s.t_ns <= t_ns[-1]]

@@ -20,7 +20,7 @@ NEAR_M = 0.15  # m; farther than this from its grasp centre a hand pushes nothin
 
 
 def geometric_draw(scene: Scene, thresholds: Thresholds) -> Draw:
-    """The same rule with 'the object's middle lies where the hand closes' in place of 'closing and lifting works'."""
+    """The failure rule where a close works if the object's middle lies in the grasp."""
     end = scene.reference
     centre = (scene.points.min(axis=0) + scene.points.max(axis=0)) / 2
     T = scene.hand.T_support_hand
@@ -55,9 +55,13 @@ def geometric_draw(scene: Scene, thresholds: Thresholds) -> Draw:
             curve.append((dt, bool(np.linalg.norm(gap) < REACH_M)))
     pushed = np.flatnonzero((off[:, 0] > 0.003) | (off[:, 1] > 3.0))
     facts = Facts(
-        scene.close is not None, float(np.sort(off[:, 0])[-3:].min()), float(np.sort(off[:, 1])[-3:].min()), tuple(curve),
-        float((pushed[0] - end) * CONTROL_S) if len(pushed) else None, 0.0,
-    )  # fmt: skip
+        scene.close is not None,
+        float(np.sort(off[:, 0])[-3:].min()),
+        float(np.sort(off[:, 1])[-3:].min()),
+        tuple(curve),
+        float((pushed[0] - end) * CONTROL_S) if len(pushed) else None,
+        0.0,
+    )
     while isinstance(answer := classify(facts, thresholds), Needs):
         ok = bool(np.linalg.norm(places[end] - free[end]) < REACH_M)
         facts = replace(facts, put_back=ok, free_pose=ok)

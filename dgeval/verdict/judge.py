@@ -1,4 +1,7 @@
-"""One trial's verdict: how it ended, the scene, the decision, blame, and the sentence. The steps stand in `decide`."""
+"""One trial's verdict: how it ended, the scene, the decision, blame, and the sentence.
+
+The steps of the decision stand in `decide`.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,7 @@ class VerdictRow:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The trial's verdict as a row, and what the review draws: the decisive moment ns, the offending link."""
+    """The verdict as a row, and what the review draws: decisive moment ns, pushing link."""
 
     row: VerdictRow
     decisive_ns: int | None

@@ -1,4 +1,7 @@
-"""How a trial ended: an operator's label, else what hand and object say after the lift, else unknown with the reason."""
+"""How a trial ended: an operator's label, else what hand and object show after the lift.
+
+Where neither tells, the outcome is unknown with the reason.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +19,10 @@ from dgeval.robots.hand import hands
 AFTER_S = 1.0  # after the close, from which fingers at rest tell what they hold
 LAST_S = 0.5  # of the log, over which efforts are judged
 IN_HAND_M, AWAY_M = 0.04, 0.10  # from the object's middle to the hand
-STEADY_M = (
-    0.02  # half of the sightings after the lift agree on the height to within that, or say nothing
-)
-LEFT_BEHIND_M, CARRIED_M = (
-    0.05,
-    0.05,
-)  # m: rise below which a sighted object was left, above which it came along
+# half of the sightings after the lift agree on the height to within that, or say nothing
+STEADY_M = 0.02
+# m: rise below which a sighted object was left, above which it came along
+LEFT_BEHIND_M, CARRIED_M = 0.05, 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +36,11 @@ class Ended:
 
 
 def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
-    """A label wins; no close: no grasp; a log that ends with the close says nothing; fingers and sightings say the rest.
+    """The outcome of a trial, by the first of these that tells.
 
-    A trial in which a robot's own grasp attempt ran out without a close is a failure: the log says that there was one by
-    the beliefs it recorded about a grasp.
+    A label; no close: no grasp; a log that ends with the close: unknown; then fingers and
+    sightings. A trial in which a robot's own grasp attempt ran out without a close is a failure:
+    the beliefs that it recorded about a grasp say that there was an attempt.
     """
     spec = trial.spec
     label = spec.label or next(
@@ -111,7 +112,7 @@ def _pressing(trial: Trial, last_ns: int) -> tuple[bool, str] | None:
 def _seen_after(
     trial: Trial, hindsight: Hindsight | None, close_ns: int
 ) -> tuple[bool, str] | None:
-    """What registered sightings of the last part of the log say: left on the support, or up with the hand."""
+    """What registered sightings late in the log show: left on the support, or up with the hand."""
     if hindsight is None or hindsight.support is None:
         return None
     later = [
@@ -138,7 +139,7 @@ def _seen_after(
         if near is not None and near[0] < IN_HAND_M:
             return None
         return False, f"the object is seen left on its support {at:.1f} s after the close"
-    # what was taken for the object high up and away from the hand is something else, or in someone else's
+    # high up and away from the hand it is something else, or in another person's hand
     if rise > CARRIED_M and (near is None or near[0] < AWAY_M):
         return True, f"the object is seen {rise * 100:.0f} cm up, {at:.1f} s after the close"
     return None

@@ -1,4 +1,4 @@
-"""The picture of a decisive moment: the camera's image with the object where it would have been and where it was seen."""
+"""The picture of a decisive moment: the object where it would have been and where it was seen."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def decisive_picture(
     hindsight: Hindsight,
     title: str,
 ) -> NDArray[np.uint8]:
-    """BGR image (H, W, 3) with the outlines of the object on its free path (red) and where it was seen then (yellow)."""
+    """BGR image (H, W, 3) with two outlines: on the free path (red), where it was seen (yellow)."""
     out = image.copy()
     T_camera_base = invert(T_base_camera)
     _outline(

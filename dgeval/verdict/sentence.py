@@ -9,14 +9,13 @@ from dgeval.verdict.decide import Decision
 from dgeval.verdict.outcome import Ended
 
 CLASS_TEXT = {"imprecise_pose": "imprecise pose", "collision": "collision", "timing": "timing"}
-PUSHED_TOO_M = (
-    0.005  # m; a push beyond this is mentioned though it did not decide (the rule's 5 mm)
-)
+# m; a push beyond this is mentioned though it did not decide (the rule's 5 mm)
+PUSHED_TOO_M = 0.005
 
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """Moments of a trial, ns: its first and last frame, the close, and the push; None where there was none."""
+    """Moments of a trial, ns: first and last frame; close and push, None where there was none."""
 
     first_ns: int
     last_ns: int

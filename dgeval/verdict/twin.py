@@ -1,7 +1,8 @@
-"""The twin: the object on its hindsight path in a world with the recorded hand alone, closed at other times.
+"""The twin: the object on its hindsight path with the recorded hand, closed at other times.
 
-The recorded hand is a fact, so it moves exactly as recorded and can't be pushed; the object and the fingers obey physics.
-A close at another time follows at the velocity believed then and lifts straight up, as the recorded system does.
+The recorded hand is a fact: it moves exactly as recorded and can't be pushed. The object and the
+fingers obey physics. A close at another time follows the object at the velocity believed then and
+lifts straight up, as the recorded system does.
 """
 
 from __future__ import annotations
@@ -31,28 +32,26 @@ from dgeval.worlds.presenter import GRIPPED_N, RELEASE_S
 from dgeval.worlds.scene import TIMESTEP, build
 
 STEP = 6  # control periods between the close times tried; half of it around lone successes
-FREE_STEPS_M = (
-    0.003,
-    0.006,
-    0.010,
-    0.014,
-)  # beyond the rule's 10 mm by what the object's own place is uncertain
+# beyond the rule's 10 mm by what the object's own place is uncertain
+FREE_STEPS_M = 0.003, 0.006, 0.010, 0.014
 HOLD_S = 0.3  # after the lift, until which the object must still be held
-NEAR_CENTRE = (
-    0.20  # m from the grasp's centre to the object's, where the window of close times begins
-)
+# m from the grasp's centre to the object's, where the window of close times begins
+NEAR_CENTRE = 0.20
 RESYNC_M, RESYNC_RAD = 0.006, 0.10  # a sighting farther than this from the physics' object moves it
-REACHED_M = 0.02  # hand to object; before it has come so near, what lies off the path is an error of the path
-MISMATCH_MOST = (
-    0.3  # rad; a finger farther than this from where it was recorded says no more than that
-)
+REACHED_M = 0.02  # m, hand to object; before that, what lies off the path is an error of the path
+# rad; a finger farther than this from where it was recorded says no more than that
+MISMATCH_MOST = 0.3
 ERROR_LEAST_M = 0.001  # of the palm; smaller ones put nothing right
 WORLD_X = 0.5  # where the object stands in the world of `physics.scene`
 
 
 @dataclass(frozen=True)
 class Approach:
-    """States by tick, furthest off the path m and degrees, tick and link of the first contact that moves the object."""
+    """The recorded approach in physics.
+
+    states: by tick. off_m, off_deg: furthest off the undisturbed path. contact, link: tick and
+    solid of the first contact that moves the object.
+    """
 
     states: dict[int, Array]
     off_m: float
@@ -62,7 +61,10 @@ class Approach:
 
 
 class Twin(HandAndObject):
-    """One scene with a solid of its cloud displaced by (dx, dy m, turn rad), its sliding friction and mass scaled."""
+    """One draw: the scene with a solid of its cloud, displaced by (dx, dy m, turn rad).
+
+    friction, mass: factors on the solid's sliding friction and mass.
+    """
 
     def __init__(
         self,
@@ -152,9 +154,9 @@ class Twin(HandAndObject):
             )
 
     def _resync(self, tick: int) -> list[float]:
-        """Where the object was seen well away from where physics has it, it goes there: sightings are facts too.
+        """Move the object to where it was seen, if that is far from where physics has it.
 
-        Returns how far that was, m, where it was seen.
+        Sightings are facts too. Returns how far apart both were, m, where it was seen.
         """
         moved = self.scene.seen[tick]
         if not np.isfinite(moved[0, 0]):
@@ -191,7 +193,7 @@ class Twin(HandAndObject):
         mujoco.mj_forward(self.model, self.data)
 
     def twist(self, tick: int) -> tuple[Array, Array]:
-        """Velocity m/s and spin rad/s (support axes) of the recorded hand after a tick, over 50 ms."""
+        """Velocity m/s and spin rad/s, support axes, of the recorded hand at a tick, over 50 ms."""
         T = self.scene.hand.T_support_hand
         a, b = max(tick - 2, 0), min(tick + 3, len(T) - 1)
         dt = max(b - a, 1) * CONTROL_S
@@ -267,10 +269,11 @@ class Twin(HandAndObject):
         return self.close(T, self.scene.hand.velocity[tick], self.scene.hand.fingers[tick], fingers)
 
     def approach(self) -> bool:
-        """The recorded hand through the object up to the close; whether the recorded failure happens there too.
+        """The recorded hand up to the close; whether the recorded failure happens here too.
 
-        Sets `mismatch`, rad or m: how far the fingers, closing, are from where they were recorded; and `strayed`, m: how far
-        the object, with the hand at it, is from where it was seen. Both are 0 where that is not known.
+        Sets `mismatch`, rad or m: how far the closing fingers are from where they were recorded,
+        and `strayed`, m: how far the object, with the hand at it, is from where it was seen. Both
+        are 0 where that is not known.
         """
         self.mismatch = self.strayed = 0.0
         scene, end = self.scene, self.scene.reference
@@ -290,7 +293,7 @@ class Twin(HandAndObject):
         return not works
 
     def without(self, error: Array) -> bool:
-        """Whether the approach displaced by less `error`, m (3,), would have lifted the object; after `approach`."""
+        """Whether the approach displaced by -error, m (3,), lifts the object; after `approach`."""
         end = self.scene.reference
         if self._approached is None or self.scene.close is None:
             return False
@@ -318,7 +321,10 @@ class Twin(HandAndObject):
         }
 
     def ask(self, thresholds: Thresholds, reproduced: bool, weight: float) -> Draw:
-        """After `approach`: the curve of close times, the rule over it, and the approach without what put the palm off."""
+        """The curve of close times, the rule over it, and the approach without each error.
+
+        Call after `approach`.
+        """
         scene, end, made = self.scene, self.scene.reference, self._approached
         if made is None:
             facts = Facts(scene.close is not None, 0.0, 0.0, (), None, 0.0)
@@ -339,7 +345,10 @@ class Twin(HandAndObject):
         if scene.close is not None:
             curve += self._later(made.states[end], end)
         facts = Facts(
-            scene.close is not None, made.off_m, made.off_deg, tuple((round(a, 3), b) for a, b in curve),
+            scene.close is not None,
+            made.off_m,
+            made.off_deg,
+            tuple((round(a, 3), b) for a, b in curve),
             None if contact is None else round((contact - 1 - end) * CONTROL_S, 3), self._height,
         )  # fmt: skip
         while isinstance(answer := classify(facts, thresholds), Needs):
@@ -369,7 +378,10 @@ class Twin(HandAndObject):
     def _earlier(
         self, states: dict[int, Array], first: int, contact: int | None
     ) -> dict[int, bool]:
-        """Close times up to the real one, backwards until two in a row work; past a push, until two before it do."""
+        """Close times up to the real one: tick -> success.
+
+        Backwards until two in a row succeed; past a push, until two before it do.
+        """
         scene, end = self.scene, self.scene.reference
         fine = end - round(AFTER_CLOSE_S / CONTROL_S) if scene.close is not None else end
         step = 2 * STEP if scene.close is not None else STEP
@@ -397,7 +409,7 @@ class Twin(HandAndObject):
         return tried
 
     def _worth(self, state: Array) -> bool:
-        """Whether a close from this state can do anything: the object lies within the hand's reach."""
+        """Whether the object is within the hand's reach in this state."""
         self.restore(state)
         T = self._hand_pose()
         off = (
@@ -472,7 +484,7 @@ class Twin(HandAndObject):
         return out
 
     def _free_pose(self, end: int) -> bool:
-        """As put back at the close, with the palm moved by at most 10 mm to where nothing overlaps."""
+        """As put back at the close, from the nearest palm position that penetrates nothing."""
         ways = [
             np.array([a, b, c], dtype=float)
             for a in (0, 1, -1)

@@ -516,7 +516,9 @@ OTHER_HAND = (
     )
 )
 NO_GEOMETRY = "no robot description and base frame: the hand's geometry is not known"
-UNKNOWN_HAND = "the twin knows the DLR-HIT Hand II and dgeval's jaw gripper only, and the description's joints are not theirs"
+UNKNOWN_HAND = (
+    "the description's joints are those of no hand that dgeval knows (dlr_hit_hand, parallel_jaw)"
+)
 TOO_SHORT = "less than 0.2 s of the approach has a known hand pose"
 
 
@@ -532,11 +534,11 @@ def without(samples: list[JointSample], first: float, last: float) -> list[Joint
         ({}, {"n_registered": 4}, "the object was registered in only 4 frames before the close"),
         ({}, {"support": None}, "what the object stands on was never seen"),
         ({"hands": hand_poses(t for t in RECORDED if not -0.9 < t < -0.3)}, {},
-         "the hand's pose is not known at -0.89 s before the end of the approach"),
+         "the hand's pose is not known 0.89 s before the end of the approach"),
         ({"joints": without(joint_samples(RECORDED), -0.9, -0.3)}, {},
-         "the hand's pose is not known at -0.89 s before the end of the approach"),
+         "the hand's pose is not known 0.89 s before the end of the approach"),
         ({"hands": hand_poses(every(0.01, -2.0, -0.5))}, {},
-         "the hand's pose is not known at -0.49 s before the end of the approach"),
+         "the hand's pose is not known 0.49 s before the end of the approach"),
         ({"hands": hand_poses(every(0.01, -0.18, 1.0))}, {}, TOO_SHORT),
         ({"hands": hand_poses(every(0.01, 0.5, 1.0))}, {}, TOO_SHORT),
         ({"joints": []}, {}, TOO_SHORT),
