@@ -21,6 +21,7 @@ from dgeval.geometry import Array, transform
 from dgeval.hindsight.moments import nearest_link
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.perception.self_filter import Hand
+from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step
 from dgeval.robots.description import LinkShape
@@ -134,7 +135,7 @@ class ReviewWriter:
         if row.get("hand_px") is not None:
             self._log_axes("world/palm", row, "hand", HAND)
         self._log_series(row)
-        close_ns = self._trial.event_ns("close")
+        close_ns = self._trial.event_ns(CLOSE_EVENT)
         if close_ns is None or frame.t_ns <= close_ns:
             T_base_model = (
                 None if step.T_camera_model is None else T_base_camera @ step.T_camera_model

@@ -26,8 +26,9 @@ from dgeval.perception.plane import Plane
 from dgeval.perception.registration import register
 from dgeval.perception.trackers.model import ModelTracker
 from dgeval.perception.types import Model, Observation
+from dgeval.recording.contract import CLOSE_EVENT, GRASP_TOPIC
 from dgeval.recording.frame import Frame
-from dgeval.recording.trials import GRASP_TOPIC, Trial
+from dgeval.recording.trials import Trial
 
 GapSided = Literal["none", "one", "two"]
 CONTACT_M = 0.006  # m; a hand this near may be pushing: measured clouds are not more exact
@@ -75,7 +76,7 @@ def look_back(
         return None
     centroid = model.points.mean(axis=0)
     sightings = _causal(seen, config)
-    end_ns = trial.event_ns("close") or seen[-1].t_ns
+    end_ns = trial.event_ns(CLOSE_EVENT) or seen[-1].t_ns
     path, _ = free_path(trial, sightings, model, centroid, end_ns)
     support = _support(seen)
 
@@ -84,7 +85,7 @@ def look_back(
     )
     known = {s.t_ns for s in sightings}
     # without a grasp in the log nobody asks for what a second look would add
-    attempt = trial.event_ns("close") is not None or bool(trial.scan.poses.get(GRASP_TOPIC))
+    attempt = trial.event_ns(CLOSE_EVENT) is not None or bool(trial.scan.poses.get(GRASP_TOPIC))
     wanted = {
         s.index: s
         for s in seen
@@ -118,7 +119,7 @@ def look_back(
         None,
     )
     notes = [] if support is not None else ["hindsight: no support plane was seen"]
-    close_ns = trial.event_ns("close")
+    close_ns = trial.event_ns(CLOSE_EVENT)
     gap, sided = blind_gap([s.t_ns for s in sightings], close_ns)
     registered = sum(s.by == "registration" and s.t_ns <= end_ns for s in sightings)
     return Hindsight(

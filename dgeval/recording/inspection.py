@@ -12,6 +12,7 @@ from dgeval.errors import DgevalError
 from dgeval.recording.clocks import clean_stamps, pair, tolerance_ns
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.containers.opening import open_container
+from dgeval.recording.contract import BELIEF_PREFIX, CLOSE_EVENT, LABEL_EVENT, TRUTH_PREFIX
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import Scan, scan
@@ -96,10 +97,8 @@ def _roles(found: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, An
         "recorded or configured" if robot is not None and robot.description else None
     )
     out["events"] = "recorded" if found.events else None
-    out["belief"] = (
-        sorted(t for t in found.opened.topics if t.startswith("/dgeval/belief/")) or None
-    )
-    out["truth"] = sorted(t for t in found.opened.topics if t.startswith("/truth/")) or None
+    out["belief"] = sorted(t for t in found.opened.topics if t.startswith(BELIEF_PREFIX)) or None
+    out["truth"] = sorted(t for t in found.opened.topics if t.startswith(TRUTH_PREFIX)) or None
     if roles.passed_over:
         out["passed_over"] = roles.passed_over
     return out
@@ -159,8 +158,8 @@ def _answers(
     pose = [] if robot is not None and robot.base_frame else ["camera_pose"]
     hand = [] if robot is not None and robot.palm_frame else ["hand_pose"]
     geometry = [] if robot is not None and robot.hand_links else ["hand_joints with a description"]
-    closed = [] if any(e.kind == "close" for e in found.events) else ["a close event"]
-    label = [] if any(e.kind == "label" for e in found.events) else ["a label event"]
+    closed = [] if any(e.kind == CLOSE_EVENT for e in found.events) else ["a close event"]
+    label = [] if any(e.kind == LABEL_EVENT for e in found.events) else ["a label event"]
     belief = [] if out["roles"]["belief"] else ["belief topics"]
     return [
         answer("where is the target in the camera, frame by frame", images),

@@ -11,6 +11,7 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.errors import Place, UsageError
 from dgeval.geometry import Array, matrix_from_pose
+from dgeval.recording.contract import ROBOT_DESCRIPTION
 from dgeval.recording.messages import JointSample
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
@@ -143,7 +144,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
 
 
 def _description(scan: Scan, config: Config) -> Description | None:
-    text, source = scan.description, f"/robot_description of {scan.opened.path}"
+    text, source = scan.description, f"/{ROBOT_DESCRIPTION} of {scan.opened.path}"
     if config.calibration.description is not None:
         source = config.calibration.description
         try:

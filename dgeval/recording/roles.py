@@ -7,11 +7,12 @@ from os.path import commonpath
 
 from dgeval.config import RolesConfig
 from dgeval.errors import Place, UsageError
+from dgeval.recording.contract import DGEVAL_PREFIX, TRUTH_PREFIX
 from dgeval.recording.images import DEPTH_ENCODINGS
 from dgeval.recording.scan import Scan
 
 COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "mono8", "8UC1"})
-NOT_A_CAMERA = ("/dgeval/", "/truth/", "mask", "debug", "annotated", "detection")
+NOT_A_CAMERA = (DGEVAL_PREFIX, TRUTH_PREFIX, "mask", "debug", "annotated", "detection")
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from dgeval.geometry import Intrinsics, matrix_from_pose
 from dgeval.recording.clocks import StampFaults, clean_stamps, pair, tolerance_ns
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
+from dgeval.recording.contract import GRASP_TOPIC, NOTES_KEY, TRIAL_START_EVENT, EventKind
 from dgeval.recording.frame import Frame, RecordedGrasp
 from dgeval.recording.images import colour_from, decode_image, depth_from
 from dgeval.recording.manifest import TrialSpec
@@ -25,8 +26,6 @@ from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import Scan, scan
 
-GRASP_TOPIC = "/dgeval/belief/grasp"
-SEED_TOPIC = "/dgeval/seed"  # of VFAS-Grasp: another planner's proposal
 MAX_WAITING = 64  # images of one role held while their partners are waited for
 
 
@@ -56,7 +55,7 @@ class Trial:
     def damage(self) -> list[Damage]:
         return self.opened.damage
 
-    def event_ns(self, kind: str) -> int | None:
+    def event_ns(self, kind: EventKind) -> int | None:
         """Time of the first event of a kind in this trial."""
         return next((e.t_ns for e in self.events if e.kind == kind), None)
 
@@ -234,8 +233,8 @@ def open_trial(spec: TrialSpec, config: Config) -> Trial:
             (pose.t_ns, RecordedGrasp(matrix_from_pose(pose.pose), near[-1][1] if near else None))
         )
     for event in events:
-        said = event.fields.get("notes")
-        if event.kind == "trial_start" and isinstance(said, list):
+        said = event.fields.get(NOTES_KEY)
+        if event.kind == TRIAL_START_EVENT and isinstance(said, list):
             notes.extend(str(note) for note in said)
     if any(f.dropped or f.zero for f in faults.values()):
         notes.append(

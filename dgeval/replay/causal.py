@@ -21,8 +21,9 @@ from dgeval.planning.execution import execute
 from dgeval.planning.recorded_grasps import Choice, RecordedGrasps
 from dgeval.planning.schedule import Delayed
 from dgeval.planning.servo import Servo
+from dgeval.recording.contract import CLOSE_EVENT, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
-from dgeval.recording.trials import GRASP_TOPIC, SEED_TOPIC, Trial
+from dgeval.recording.trials import Trial
 from dgeval.robots.dlr_hit_hand import ACTUATED
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ def _control(
 
 def _palm_at_close(trial: Trial) -> Array | None:
     """Position (3,) of the palm at the recorded close, base frame: where the target must have been."""
-    close = trial.event_ns("close")
+    close = trial.event_ns(CLOSE_EVENT)
     T = None if close is None else trial.robot.T_base_palm(close)
     return None if T is None else np.asarray(T[:3, 3])
 

@@ -23,6 +23,7 @@ from dgeval.geometry import Array
 from dgeval.hindsight.second_pass import Hindsight, look_back
 from dgeval.hindsight.surface import Seen, Surface, seen_of
 from dgeval.perception.pipeline import Perception, pose_columns
+from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
 from dgeval.replay.causal import Step, grasp_source, recorded_seed, replay
@@ -119,6 +120,7 @@ def _replay_trial(
     t_execute_ns = None
     model = None
     last_ns = trial.pairs[-1][0]
+    close_ns = trial.event_ns(CLOSE_EVENT)
     perception = Perception(config)
     seen: list[Seen] = []
     surface = Surface()
@@ -157,7 +159,7 @@ def _replay_trial(
                 seen.append(known)
             if step.accepted and step.model is not None:
                 surface.add(step.model)
-            if trial.event_ns("close") is None or step.frame.t_ns <= trial.event_ns("close"):  # type: ignore[operator]
+            if close_ns is None or step.frame.t_ns <= close_ns:
                 recent.append((step.frame.t_ns, step.T_base_camera, _as_jpeg(step)))
             if view is not None:
                 view.add(step)
@@ -270,7 +272,7 @@ def _trial_row(
         "self_filter": self_filter,
         "target_source": "bbox" if spec.bbox is not None else "automatic",
         "t_execute_ns": t_execute_ns,
-        "t_close_ns": trial.event_ns("close"),
+        "t_close_ns": trial.event_ns(CLOSE_EVENT),
         "t_decisive_ns": judgement.decisive_ns,
         "contact_link": judgement.link,
         "notes": "; ".join([*notes, *judgement.notes]),

@@ -10,6 +10,13 @@ from dgeval.failure_rule import Outcome, OutcomeSource
 from dgeval.geometry import Array, transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
+from dgeval.recording.contract import (
+    CLOSE_EVENT,
+    GRASP_TOPIC,
+    LABEL_EVENT,
+    LABEL_KEY,
+    TRIAL_END_EVENT,
+)
 from dgeval.recording.trials import Trial
 from dgeval.robots.hand import FIVE_FINGERS, JAW
 
@@ -45,13 +52,13 @@ def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
     """
     spec = trial.spec
     label = spec.label or next(
-        (str(e.fields.get("label")) for e in trial.events if e.kind == "label"), None
+        (str(e.fields.get(LABEL_KEY)) for e in trial.events if e.kind == LABEL_EVENT), None
     )
     if label in ("success", "failure"):
         return Ended(
             "success" if label == "success" else "failure", "label", "an operator's label says so"
         )
-    close_ns = trial.event_ns("close")
+    close_ns = trial.event_ns(CLOSE_EVENT)
     if close_ns is None:
         if trial.damage:
             return Ended(
@@ -59,7 +66,7 @@ def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
                 None,
                 "the recording is damaged and what can be read of it has no close",
             )
-        if trial.scan.poses.get("/dgeval/belief/grasp") and trial.event_ns("trial_end") is not None:
+        if trial.scan.poses.get(GRASP_TOPIC) and trial.event_ns(TRIAL_END_EVENT) is not None:
             return Ended(
                 "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
             )
