@@ -123,9 +123,17 @@ def _check(specs: Any, config: Any, jobs: int, results: Any) -> None:
     from dgeval.runs.workers import replay_trials
     from dgeval.schema import STAGES
 
+    hashes = {r.id: r.sha256 for r in results if r.sha256 is not None}
     with tempfile.TemporaryDirectory() as folder:
         again = replay_trials(
-            specs, config, Path(folder), None, True, jobs, on_result=lambda _: None
+            specs,
+            config,
+            Path(folder),
+            None,
+            True,
+            jobs,
+            on_result=lambda _: None,
+            hashes=hashes,
         )
     for first, second in zip(results, again, strict=True):
         if (first.row is None) != (second.row is None):

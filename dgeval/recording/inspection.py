@@ -9,10 +9,10 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.errors import DgevalError
-from dgeval.recording.clocks import clean_stamps, pair, tolerance_ns
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import BELIEF_PREFIX, CLOSE_EVENT, LABEL_EVENT, TRUTH_PREFIX
+from dgeval.recording.pairing import pair_images
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import Scan, scan
@@ -41,7 +41,7 @@ def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
         "roles": _roles(found, roles, robot),
         "timing": _timing(found, roles, config),
         "events": [{"t_ns": e.t_ns, "event": e.kind, **e.fields} for e in found.events],
-        "notes": ([] if robot is None else robot.notes) + ([robot_error] if robot_error else []),
+        "notes": [*(() if robot is None else robot.notes), *([robot_error] if robot_error else [])],
     }
     out["answers"] = _answers(out, found, roles, robot)
     return out
@@ -108,23 +108,23 @@ def _timing(found: Scan, roles: Roles, config: Config) -> dict[str, Any]:
     if roles.colour is None or roles.depth is None:
         return {}
     out: dict[str, Any] = {}
-    stamps = {}
-    for role, topic in (("colour", roles.colour), ("depth", roles.depth)):
-        header, log = found.times[topic].arrays()
-        offset = getattr(config.clock, role).offset_ns
-        stamps[role], _, faults = clean_stamps(header, log, offset, round(config.sync.jump_s * 1e9))
+    pairing = pair_images(found, roles.colour, roles.depth, config)
+    colour_ns, depth_ns, pairs = pairing.colour_ns, pairing.depth_ns, pairing.indices
+    for role, stamps in (("colour", colour_ns), ("depth", depth_ns)):
+        faults = pairing.faults[role]
         out[f"{role}_stamps"] = {
-            "used": len(stamps[role]), "zero": faults.zero, "backward": faults.backward, "duplicate": faults.duplicate,
+            "used": len(stamps),
+            "zero": faults.zero,
+            "backward": faults.backward,
+            "duplicate": faults.duplicate,
             "jump": faults.jump,
-        }  # fmt: skip
-    tolerance = tolerance_ns(stamps["colour"], config.sync)
-    pairs = pair(stamps["colour"], stamps["depth"], tolerance)
-    skew = np.array([int(stamps["depth"][d]) - int(stamps["colour"][c]) for c, d in pairs]) * 1e-9
+        }
+    skew = np.array([int(depth_ns[d]) - int(colour_ns[c]) for c, d in pairs]) * 1e-9
     out.update(
-        tolerance_s=tolerance * 1e-9,
+        tolerance_s=pairing.tolerance_ns * 1e-9,
         pairs=len(pairs),
-        unmatched_colour=len(stamps["colour"]) - len(pairs),
-        unmatched_depth=len(stamps["depth"]) - len(pairs),
+        unmatched_colour=len(colour_ns) - len(pairs),
+        unmatched_depth=len(depth_ns) - len(pairs),
     )
     if len(skew):
         out.update(skew_median_s=float(np.median(skew)), skew_largest_s=float(np.abs(skew).max()))

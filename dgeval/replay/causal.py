@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dgeval.config import Config
+from dgeval.config import Config, GraspsConfig
 from dgeval.geometry import Array, matrix_from_pose, transform
 from dgeval.perception.pipeline import Perception, pose_columns
 from dgeval.perception.target import find_target
@@ -100,10 +100,10 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
         )
 
 
-def grasp_source(trial: Trial, config: Config) -> str:
+def grasp_source(trial: Trial, config: GraspsConfig) -> str:
     """`recorded`, `ffhnet` or `none`: what `grasps.source` comes to in this trial."""
-    if config.grasps.source != "auto":
-        return config.grasps.source
+    if config.source != "auto":
+        return config.source
     if trial.scan.poses.get(GRASP_TOPIC):
         return "recorded"
     description = trial.robot.description
@@ -114,7 +114,7 @@ def grasp_source(trial: Trial, config: Config) -> str:
 
 
 def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None:
-    source = grasp_source(trial, config)
+    source = grasp_source(trial, config.grasps)
     if source == "recorded":
         return RecordedGrasps(config)
     if source == "none":
@@ -123,7 +123,7 @@ def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None
         ModelGrasps,
     )  # brings torch, which takes longer to import than all the rest
 
-    return ModelGrasps(trial, config)
+    return ModelGrasps(trial.robot, config)
 
 
 def recorded_seed(trial: Trial) -> Array | None:

@@ -161,7 +161,9 @@ def _seen_after(
     if float(np.median(np.abs(np.subtract(rises, rise)))) > STEADY_M:
         return None  # taken for something else from frame to frame
     at = (later[-1].t_ns - close_ns) * 1e-9
-    near = hand_distance(trial, later[-1].t_ns, transform(later[-1].T_base_model, centre[None]))
+    near = hand_distance(
+        trial.robot, later[-1].t_ns, transform(later[-1].T_base_model, centre[None])
+    )
     if rise < LEFT_BEHIND_M:
         if near is not None and near[0] < IN_HAND_M:
             return None
