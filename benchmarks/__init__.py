@@ -1,1 +1,4 @@
-"""Measurements: what dgeval reaches, on made recordings with exact truth and on real pixels. Results in results/."""
+"""Measurements of dgeval on synthetic recordings with exact truth and on real images.
+
+The tables go to results/.
+"""

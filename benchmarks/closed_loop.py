@@ -1,7 +1,9 @@
-"""Success in closed loop by speed and object beside the paper, with Wilson intervals; outcomes alone, without proofs of causes.
+"""Success in closed loop by speed and object, beside the paper's, with Wilson intervals.
 
-`python -m benchmarks.closed_loop conveyor [--jobs 2] [--trials N] [--seed 0] [--faultless]`. The causes: `dgeval simulate` and
-benchmarks.simulation, at three times the time.
+`python -m benchmarks.closed_loop conveyor [--jobs 2] [--trials N] [--seed 0] [--faultless]`
+
+Only outcomes are simulated, no causes. `dgeval simulate` and benchmarks.simulation give the causes
+and take three times as long.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from benchmarks.simulation import PUBLISHED, rates  # noqa: E402
 
 
 def outcome(name: str, seed: int, index: int, faultless: bool) -> dict[str, Any]:
-    """One trial: what `rates` needs, and how it ended."""
+    """Simulate one trial; returns its outcome as benchmarks.simulation.rates takes it."""
     limit_threads()
     scenario = load_scenario(name)
     campaign = Campaign(scenario, seed, 1, Path("unused"))
@@ -64,8 +66,8 @@ def main() -> None:
         results = [w.result() for w in waiting]
     paper = PUBLISHED.get(scenario.plans_of or scenario.name, {})
     clean = [r for r in results if not r["verdict"]["faults_present"]]
-    ends = [r["verdict"]["failure_class"] or "held" for r in results]
-    rows = [[end, str(ends.count(end))] for end in ("held", "closed and lost", "never closed")]
+    endings = [r["verdict"]["failure_class"] or "held" for r in results]
+    rows = [[end, str(endings.count(end))] for end in ("held", "closed and lost", "never closed")]
     parts = [
         "Modelled perception stands in for TransT-M and ICP in the loop"
         + ("" if scenario.grasps == "ffhnet" else ", an analytic sampler and score for FFHNet")
@@ -80,7 +82,10 @@ def main() -> None:
             f"The {len(clean)} trials without an injected fault:",
             rates(clean, paper, "object"),
         ]
-    command = f"python -m benchmarks.closed_loop {options.scenario} --trials {trials} --seed {options.seed}"
+    command = (
+        f"python -m benchmarks.closed_loop {options.scenario} --trials {trials} --seed "
+        f"{options.seed}"
+    )
     name = f"closed-loop-{options.scenario}"
     if options.faultless:
         name, command = f"{name}-faultless", f"{command} --faultless"

@@ -1,6 +1,7 @@
-"""Depth of an unregistered camera pair put into the colour camera, where a recording's images don't lie on each other.
+"""Registers the depth image of an unregistered camera pair to the colour camera.
 
-The two cameras' axes are taken as parallel, as in the first Kinect: one focal length and one shift along x are enough.
+The optical axes are taken as parallel, as in the first Kinect. So one focal length and one shift
+along x describe the colour camera.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class ColourCamera:
-    """Focal length px of the colour camera, and its place along the depth camera's x axis, m."""
+    """The colour camera: focal length, px, and position on the depth camera's x axis, m."""
 
     focal: float
     baseline: float
@@ -28,7 +29,10 @@ class ColourCamera:
         return T
 
     def register(self, depth: NDArray[np.float32], camera: Intrinsics) -> NDArray[np.uint16]:
-        """Depth m (H, W) as the colour camera sees it, mm; of several points on one pixel the nearest stays."""
+        """Depth (H, W) m of the depth camera -> depth (H, W) mm in the colour camera.
+
+        0 where there is none. Of several points on one pixel the nearest is kept.
+        """
         v, u = np.nonzero(depth)
         z = depth[v, u].astype(np.float64)
         x = ((u - camera.cx) / camera.fx * z - self.baseline) / z * self.focal + camera.cx

@@ -1,4 +1,4 @@
-"""FFHNet: time per 1000 candidates, its evaluator on objects held out, and its best grasp tried in physics.
+"""FFHNet: time per 1000 candidates, evaluator on unseen objects, best grasp tried in physics.
 
 `python -m benchmarks.ffhnet [--views 10]`.
 """
@@ -30,7 +30,8 @@ from scipy.spatial import cKDTree
 
 from benchmarks.result import RESULTS, table, write
 
-WAYS = (
+# How the tried grasp is chosen: cloud of the object, and the best of all or of the free candidates
+CHOICES = (
     "single view, best",
     "single view, best free",
     "fused, best",
@@ -38,13 +39,12 @@ WAYS = (
     "random free pose",
     "known grasps",
 )
-UNSEEN = range(
-    200, 209
-)  # procedural objects, one of each kind, that no training run with its defaults has seen
+# Procedural objects, one of each kind, that no training run with default options uses
+UNSEEN = range(200, 209)
 
 
 def milliseconds(function: Callable[[], Any], repeats: int = 9) -> float:
-    """Median."""
+    """Median time of a call, ms, after one call to warm up."""
     function()
     taken = []
     for _ in range(repeats):
@@ -55,30 +55,46 @@ def milliseconds(function: Callable[[], Any], repeats: int = 9) -> float:
 
 
 def times() -> list[list[str]]:
-    """1000 candidates on one core: generated, evaluated, both; the cloud's share once or for every candidate."""
+    """Rows of times for 1000 candidates on one core, ms: generated, evaluated, both.
+
+    The cloud's part of the first layer is computed once (factored) or for every candidate.
+    """
     rows = []
     shipped = networks_of(GraspsConfig())
     published = Networks(FFHGenerator().eval(), FFHEvaluator().eval())
     for name, networks in (("shipped", shipped), ("published size", published)):
         bps = torch.rand(1, networks.n_bps) * 0.2
-        for how, given in (("factored", bps), ("unfactored", bps.expand(1000, -1).contiguous())):
+        for layer, encoded in (
+            ("factored", bps),
+            ("unfactored", bps.expand(1000, -1).contiguous()),
+        ):
             z = torch.randn(1000, 5)
             with torch.inference_mode():
-                palms = networks.generator.decode(z, given)
-                made = milliseconds(lambda n=networks, g=given, z=z: n.generator.decode(z, g))  # type: ignore[misc]
-                judged = milliseconds(lambda n=networks, g=given, p=palms: n.evaluator(g, p))  # type: ignore[misc]
-            rows.append([name, how, f"{made:.0f}", f"{judged:.0f}", f"{made + judged:.0f}"])
+                palms = networks.generator.decode(z, encoded)
+                generated = milliseconds(
+                    lambda n=networks, g=encoded, z=z: n.generator.decode(z, g)
+                )  # type: ignore[misc]
+                evaluated = milliseconds(lambda n=networks, g=encoded, p=palms: n.evaluator(g, p))  # type: ignore[misc]
+            rows.append(
+                [
+                    name,
+                    layer,
+                    f"{generated:.0f}",
+                    f"{evaluated:.0f}",
+                    f"{generated + evaluated:.0f}",
+                ]
+            )
     return rows
 
 
 def neighbours() -> list[list[str]]:
-    """Encoding a model of 4096 points by the basis of each size, by library."""
+    """Rows of times to encode a model of 4096 points, ms, by size of the basis and by library."""
     cloud = np.random.default_rng(0).normal(0, 0.04, (4096, 3))
     rows = []
     for n in (512, 4096):
         points = basis(n).astype(np.float64)
 
-        ways: dict[str, Callable[[], Any]] = {
+        searches: dict[str, Callable[[], Any]] = {
             "scipy, balanced tree": lambda p=points: cKDTree(cloud).query(p),  # type: ignore[misc]
             "scipy, plain tree": lambda p=points: cKDTree(
                 cloud, 16, False, balanced_tree=False
@@ -88,49 +104,56 @@ def neighbours() -> list[list[str]]:
                 torch.from_numpy(p).float(), torch.from_numpy(cloud).float()
             ).min(1),  # type: ignore[misc]
         }
-        rows += [[str(n), name, f"{milliseconds(way):.1f}"] for name, way in ways.items()]
+        rows += [[str(n), name, f"{milliseconds(search):.1f}"] for name, search in searches.items()]
     return rows
 
 
 def in_physics(
-    things: list[ObjectModel], views: int, networks: Networks
+    models: list[ObjectModel], views: int, networks: Networks
 ) -> dict[str, list[tuple[str, bool]]]:
-    """Whether the best grasp of each view held, by way of choosing it: (object, held)."""
-    out: dict[str, list[tuple[str, bool]]] = {k: [] for k in WAYS}
-    for thing in things:
-        world = FlyingHand(thing)
-        surface = surface_points(thing, 12_000, generator(1, f"bench/{thing.name}", 0))
-        known = known_grasps(thing) if thing.name in ten_objects() else []
+    """By choice: (object, whether the grasp held in physics) for each view of each object."""
+    out: dict[str, list[tuple[str, bool]]] = {k: [] for k in CHOICES}
+    for model in models:
+        world = FlyingHand(model)
+        surface = surface_points(model, 12_000, generator(1, f"bench/{model.name}", 0))
+        known_of_model = known_grasps(model) if model.name in ten_objects() else []
         for k in range(views):
             for name, fused in (("single view", False), ("fused", True)):
                 cloud, T_cloud_object = cloud_of(
-                    surface, fused, generator(1, f"bench/{thing.name}/{name}", k)
+                    surface, fused, generator(1, f"bench/{model.name}/{name}", k)
                 )
                 encoded = encode_cloud(cloud, networks)
                 drawn = propose(encoded, networks, 256, 1, k)
-                free = free_on_table(thing, T_cloud_object, encoded, drawn)
-                for way, scores in (
+                free = free_on_table(model, T_cloud_object, encoded, drawn)
+                for choice, scores in (
                     ("best", drawn.scores),
                     ("best free", np.where(free, drawn.scores, -1.0)),
                 ):
-                    row = int(np.argmax(scores))
-                    T = invert(T_cloud_object) @ drawn.T_cloud_palm[row]
-                    out[f"{name}, {way}"].append((thing.name, holds(world, T, drawn.joints[row])))
+                    best = int(np.argmax(scores))
+                    T = invert(T_cloud_object) @ drawn.T_cloud_palm[best]
+                    out[f"{name}, {choice}"].append(
+                        (model.name, holds(world, T, drawn.joints[best]))
+                    )
             for draw in range(500):
-                T, joints = candidate(generator(2, f"bench/{thing.name}/{k}", draw), thing)
+                T, joints = candidate(generator(2, f"bench/{model.name}/{k}", draw), model)
                 world.put(T, joints)
                 if not world.touches():
-                    out["random free pose"].append((thing.name, world.lifts(joints, shake=True)))
+                    out["random free pose"].append((model.name, world.lifts(joints, shake=True)))
                     break
-            if known:
-                grasp = max(known, key=lambda g: g.quality) if k == 0 else known[k % len(known)]
+            if known_of_model:
+                grasp = (
+                    max(known_of_model, key=lambda g: g.quality)
+                    if k == 0
+                    else known_of_model[k % len(known_of_model)]
+                )
                 out["known grasps"].append(
-                    (thing.name, holds(world, grasp.T_object_palm, grasp.preshape))
+                    (model.name, holds(world, grasp.T_object_palm, grasp.preshape))
                 )
     return out
 
 
 def rate(held: list[bool]) -> str:
+    """Share that held, with its Wilson 95 % interval, as text."""
     low, high = wilson(sum(held), len(held))
     return (
         f"{sum(held)}/{len(held)} = {100 * np.mean(held):.0f} % [{100 * low:.0f}–{100 * high:.0f}]"
@@ -138,18 +161,19 @@ def rate(held: list[bool]) -> str:
 
 
 def reliability(p: Array, held: Array, path: Path) -> None:
+    """Reliability plot of scores p (n,) against `held` (n,), ten bins, as SVG."""
     figure = Figure(figsize=(4.2, 3.6), layout="constrained")
     axis = figure.subplots()
-    cell = np.minimum((p * 10).astype(int), 9)
-    shown = [b for b in range(10) if (cell == b).sum() >= 5]
+    bin_of = np.minimum((p * 10).astype(int), 9)
+    bins = [b for b in range(10) if (bin_of == b).sum() >= 5]
     axis.plot([0, 1], [0, 1], color="#999", lw=0.8)
     axis.plot(
-        [p[cell == b].mean() for b in shown], [held[cell == b].mean() for b in shown], marker="o"
+        [p[bin_of == b].mean() for b in bins], [held[bin_of == b].mean() for b in bins], marker="o"
     )
-    for b in shown:
+    for b in bins:
         axis.annotate(
-            str((cell == b).sum()),
-            (p[cell == b].mean(), held[cell == b].mean()),
+            str((bin_of == b).sum()),
+            (p[bin_of == b].mean(), held[bin_of == b].mean()),
             fontsize=7,
             xytext=(4, -8),
             textcoords="offset points",
@@ -178,31 +202,43 @@ def main() -> None:
         "the ten": list(ten_objects().values()),
     }
     rows, by_object = [], []
-    for name, things in groups.items():
-        found = in_physics(things, options.views, networks)
-        rows += [[name, way, rate([h for _, h in held])] for way, held in found.items() if held]
-        ways = ("single view, best free", "fused, best free")
+    for name, models in groups.items():
+        held_by_choice = in_physics(models, options.views, networks)
+        rows += [
+            [name, choice, rate([h for _, h in held])]
+            for choice, held in held_by_choice.items()
+            if held
+        ]
+        choices = ("single view, best free", "fused, best free")
         by_object += [
-            [t.name, *(rate([h for n, h in found[way] if n == t.name]) for way in ways)]
-            for t in things
+            [
+                t.name,
+                *(
+                    rate([h for n, h in held_by_choice[choice] if n == t.name])
+                    for choice in choices
+                ),
+            ]
+            for t in models
         ]
     parts += [
-        "Best-scored of 256 grasps tried in physics: closed, lifted, shaken with 2 g; one deeper than 4 mm in object or table "
-        "counts as failed. `free`: the best of those that are not, as far as cloud and support tell.",
+        "Best-scored of 256 grasps tried in physics: closed, lifted, shaken with 2 g; one deeper "
+        "than 4 mm in object or table counts as failed. `free`: the best of those that are not, as "
+        "far as cloud and support tell.",
         table(["objects", "grasp by", "held"], rows),
         table(["object", "single view, best free", "fused, best free"], by_object),
     ]
     bps, palms, held = selected(networks, UNSEEN, 1)
     with torch.inference_mode():
         p = networks.evaluator(bps, palms).numpy().astype(float)
-    found_scores = scores_of(p, held.numpy() > 0.5)
+    scores = scores_of(p, held.numpy() > 0.5)
     reliability(p, held.numpy(), RESULTS / "ffhnet-reliability.svg")
     parts += [
-        f"The evaluator on {len(held)} tried grasps of nine unseen objects: of 256 candidates that are free, the four "
-        "best and four at random, of ten views each (plot: ffhnet-reliability.svg).",
+        f"The evaluator on {len(held)} tried grasps of nine unseen objects: of 256 candidates that "
+        "are free, the four best and four at random, of ten views each (plot: "
+        "ffhnet-reliability.svg).",
         table(
             ["ROC-AUC", "Brier", "ECE", "share that held"],
-            [[f"{found_scores[k]:.3f}" for k in ("auc", "brier", "ece", "held")]],
+            [[f"{scores[k]:.3f}" for k in ("auc", "brier", "ece", "held")]],
         ),
     ]
     print(

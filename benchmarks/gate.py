@@ -1,8 +1,11 @@
-"""False alarms and power of the regression gate: `python -m benchmarks.gate [--runs 1000] [--replays RUN RUN …]`.
+"""False alarms and power of the regression gate.
 
-A/A: the same system twice, so every difference is chance. RUNs are replays of one data set that differ in their seed alone;
-each resampling draws trials with replacement and for each two of its replays, and asks the gate for its conclusion. Beside
-it noise that is made: heavy-tailed, with a part of the trials unchanged.
+`python -m benchmarks.gate [--runs 1000] [--replays RUN RUN …]`
+
+A/A: the same system twice, so every difference is chance. RUNs are replays of one data set that
+differ only in their seed. Each resampling draws trials with replacement and two replays of each
+trial, and asks the gate for its answers. A second table uses synthetic noise: heavy-tailed, with a
+share of the trials unchanged.
 """
 
 from __future__ import annotations
@@ -23,12 +26,12 @@ from matplotlib.figure import Figure
 from benchmarks.result import RESULTS, table, write
 
 UNCHANGED = 0.2  # share of trials in which a metric does not change at all
-TAILS = 3.0  # degrees of freedom of Student's t
+TAILS = 3.0  # degrees of freedom of Student's t, from which the noise is drawn
 SIZES = (6, 20, 60, 120)  # trials
 
 
 def noise(rng: np.random.Generator, n: int, scale: float) -> Array:
-    """Differences of an A/A pair (n,): none in some trials, heavy tails in the others."""
+    """Differences of an A/A pair (n,), standard deviation `scale` where they are not zero."""
     d = rng.standard_t(TAILS, n) * scale / np.sqrt(TAILS / (TAILS - 2))
     d[rng.random(n) < UNCHANGED] = 0.0
     return d
@@ -37,7 +40,11 @@ def noise(rng: np.random.Generator, n: int, scale: float) -> Array:
 def answers_of(
     rng: np.random.Generator, n: int, scale: float, effect: float, metric: int
 ) -> list[str]:
-    """What the gate says of each metric; `effect` and `scale` in units of what is relevant, the effect in one metric."""
+    """Answers of the gate for each metric of n trials under noise.
+
+    scale: of the noise. effect: by which `metric` (index in METRICS) gets worse. Both in units of
+    the relevant difference.
+    """
     old = {m.name: rng.normal(0.5, 0.1, n) for m in METRICS}
     new = {m.name: old[m.name] + noise(rng, n, scale * m.relevant) for m in METRICS}
     sign = 1 if METRICS[metric].lower_is_better else -1
@@ -46,7 +53,7 @@ def answers_of(
 
 
 def false_alarms(runs: int, n: int, seed: int, scale: float = 5.0) -> tuple[int, int]:
-    """A/A resamplings in which any metric is called worse or better, and how many there were."""
+    """(A/A resamplings in which any metric is called worse or better, resamplings)."""
     rng = generator(seed, "A/A", n)
     wrong = sum(
         bool({"worse", "better"} & set(answers_of(rng, n, scale, 0.0, 0))) for _ in range(runs)
@@ -55,46 +62,54 @@ def false_alarms(runs: int, n: int, seed: int, scale: float = 5.0) -> tuple[int,
 
 
 def replayed(folders: list[Path]) -> Array:
-    """Metrics (runs, trials, metrics) of replays of the same recordings; hindsight is the first run's, as in the gate."""
+    """Metrics (runs, trials, metrics) of replays of the same recordings.
+
+    Hindsight is the first run's, as in the gate.
+    """
     runs = [read_run(folder) for folder in folders]
     trials = runs[0].trials.set_index("trial").sort_index()
     for a, b in pairwise(runs):
         assert a.about["inputs"] == b.about["inputs"], "replays of other recordings"
     out = np.full((len(runs), len(trials), len(METRICS)), np.nan)
     for k, trial in enumerate(trials.index):
-        close = trials["t_close_ns"].loc[trial]
+        close_ns = trials["t_close_ns"].loc[trial]
         for r, run in enumerate(runs):
-            found = trial_metrics(
-                run.frames(trial), runs[0].hindsight(trial), None if pd.isna(close) else int(close)
+            metrics = trial_metrics(
+                run.frames(trial),
+                runs[0].hindsight(trial),
+                None if pd.isna(close_ns) else int(close_ns),
             )
-            out[r, k] = [found[m.name] for m in METRICS]
+            out[r, k] = [metrics[m.name] for m in METRICS]
     return out
 
 
 def resampled(pool: Array, rng: np.random.Generator, n: int, effect: Array) -> list[str]:
-    """What the gate says of each metric for n trials drawn from `replayed`, each with two of its runs; effect (metrics,)."""
+    """Answers of the gate for each metric of n trials drawn from `pool`.
+
+    pool: of `replayed`. Each trial comes with two of its runs. effect: (metrics,), added to the
+    second.
+    """
     runs, trials, _ = pool.shape
     chosen = rng.integers(trials, size=n)
     first = rng.integers(runs, size=n)
     second = (first + rng.integers(1, runs, size=n)) % runs
     old, new = pool[first, chosen], pool[second, chosen] + effect
     names = [m.name for m in METRICS]
-    said = answers(dict(zip(names, old.T, strict=True)), dict(zip(names, new.T, strict=True)))
-    by_name = {r.metric.name: str(r.answer) for r in said}
+    results = answers(dict(zip(names, old.T, strict=True)), dict(zip(names, new.T, strict=True)))
+    by_name = {r.metric.name: str(r.answer) for r in results}
     return [by_name.get(name, "nothing to measure") for name in names]
 
 
 def of_replays(folders: list[Path], runs: int) -> list[str]:
-    """Tables: how large the noise of real replays is, false alarms under it, power against stated effects."""
+    """Tables of real replays: size of their noise, false alarms under it, power by effect."""
     pool = replayed(folders)
-    # median over trials of the spread between seeds, in units of what is relevant
     noises = []
     for k, m in enumerate(METRICS):
         of_metric = pool[:, np.isfinite(pool[:, :, k]).all(axis=0), k]
         if of_metric.size == 0:
             noises.append([m.name, "never measured", "–"])
             continue
-        # median over trials of the spread between seeds
+        # median over trials of the standard deviation between seeds, in relevant differences
         spread = float(np.median(np.std(of_metric, axis=0))) / m.relevant
         noises.append(
             [m.name, f"{spread:.2g}", f"{100 * np.mean(np.diff(of_metric, axis=0) != 0):.0f} %"]
@@ -103,12 +118,12 @@ def of_replays(folders: list[Path], runs: int) -> list[str]:
     alarms, powers = [], []
     for n in SIZES:
         rng = generator(1, "A/A of replays", n)
-        said = [resampled(pool, rng, n, none) for _ in range(runs)]
-        wrong = sum(bool({"worse", "better"} & set(s)) for s in said)
+        answers_by_run = [resampled(pool, rng, n, none) for _ in range(runs)]
+        wrong = sum(bool({"worse", "better"} & set(s)) for s in answers_by_run)
         low, high = wilson(wrong, runs)
-        silent = sum("inconclusive" not in s for s in said)
+        conclusive = sum("inconclusive" not in s for s in answers_by_run)
         interval = f"{100 * low:.1f}–{100 * high:.1f} %"
-        alarms.append([str(n), f"{wrong}/{runs}", interval, f"{100 * silent / runs:.0f} %"])
+        alarms.append([str(n), f"{wrong}/{runs}", interval, f"{100 * conclusive / runs:.0f} %"])
     for k, m in enumerate(METRICS):
         if noises[k][1] == "never measured":
             continue
@@ -117,16 +132,18 @@ def of_replays(folders: list[Path], runs: int) -> list[str]:
         row = [m.name]
         for n in SIZES:
             rng = generator(1, "power of replays", n)
-            found = [resampled(pool, rng, n, effect)[k] == "worse" for _ in range(runs // 5)]
-            row.append(f"{100 * np.mean(found):.0f} %")
+            called_worse = [resampled(pool, rng, n, effect)[k] == "worse" for _ in range(runs // 5)]
+            row.append(f"{100 * np.mean(called_worse):.0f} %")
         powers.append(row)
     return [
-        f"Real replays: {pool.shape[1]} recordings, each with {pool.shape[0]} seeds. Spread between seeds in units of what is "
-        "relevant, and how often two seeds differ at all.",
+        f"Real replays: {pool.shape[1]} recordings, each with {pool.shape[0]} seeds. Spread "
+        "between seeds in units of what is relevant, and how often two seeds differ at all.",
         table(["metric", "spread", "differs"], noises),
-        "A/A resamplings of these replays: false alarms, and how often no metric was left inconclusive.",
+        "A/A resamplings of these replays: false alarms, and how often no metric was left "
+        "inconclusive.",
         table(["trials", "false alarms", "95 % interval", "conclusive"], alarms),
-        "Called worse where a metric gets worse by twice what is relevant, under the replays' noise.",
+        "Called worse where a metric gets worse by twice what is relevant, under the replays' "
+        "noise.",
         table(["metric", *(f"{n} trials" for n in SIZES)], powers),
     ]
 
@@ -176,16 +193,20 @@ def main() -> None:
     RESULTS.mkdir(exist_ok=True)
     figure.savefig(RESULTS / "gate-power.png", dpi=110, metadata={"Software": None})
     parts = [
-        f"A/A resamplings in which any of {len(METRICS)} metrics is called worse or better; stated level {100 * ALPHA:.0f} %. "
-        "Noise in units of what is relevant.",
+        f"A/A resamplings in which any of {len(METRICS)} metrics is called worse or better; stated "
+        f"level {100 * ALPHA:.0f} %. Noise in units of what is relevant.",
         table(["noise", "trials", "false alarms", "95 % interval"], rows),
-        "Share of resamplings in which the metric that got worse is called worse, by effect (noise 3). Plot: gate-power.png.",
+        "Share of resamplings in which the metric that got worse is called worse, by effect (noise "
+        "3). Plot: gate-power.png.",
         table(["trials", *(f"{e:g}" for e in effects)], powers),
     ]
     command = f"python -m benchmarks.gate --runs {options.runs}"
     if options.replays:
         parts = of_replays(options.replays, options.runs) + parts
-        command += f" --replays …  ({len(options.replays)} × dgeval replay datasets/ci-smoke/ci-smoke.toml --set seed=K)"
+        command += (
+            f" --replays …  ({len(options.replays)} × dgeval replay "
+            "datasets/ci-smoke/ci-smoke.toml --set seed=K)"
+        )
     print(
         write("gate", "False alarms and power of the gate", command, parts).read_text(
             encoding="utf-8"

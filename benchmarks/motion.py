@@ -1,4 +1,7 @@
-"""Known rigid motions M(t) of everything the camera sees, in the base frame. Times s, lengths m, angles rad."""
+"""Known rigid motions M(t) of the whole scene in the base frame.
+
+Times s, lengths m, angles rad.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from dgeval.geometry import Array, increment
 
-STAND_S, GO_S = 1.0, 1.0  # of stop-and-go
+STAND_S, GO_S = 1.0, 1.0  # s, of the motion stop-and-go
 MODES: dict[str, tuple[str, float]] = {
     # name: (kind, m/s or rad/s)
     "still": ("linear", 0.0),
@@ -20,7 +23,7 @@ MODES: dict[str, tuple[str, float]] = {
 
 @dataclass(frozen=True)
 class Motion:
-    """M(t): a shift along `direction` (unit, base axes), or a turn about base z through `pivot` (3,) m."""
+    """M(t): a shift along `direction` (unit, base axes), or a turn about base z at `pivot`, m."""
 
     mode: str
     direction: tuple[float, float, float] = (1.0, 0.0, 0.0)
@@ -34,11 +37,14 @@ class Motion:
             pivot = np.array(self.pivot)
             M[:3, 3] = pivot - M[:3, :3] @ pivot
             return M
-        way = rate * (t if kind == "linear" else steps(t))
-        return increment(np.concatenate([way * np.array(self.direction), np.zeros(3)]))
+        distance = rate * (t if kind == "linear" else steps(t))
+        return increment(np.concatenate([distance * np.array(self.direction), np.zeros(3)]))
 
     def velocity(self, t: float, point: Array) -> Array:
-        """Velocity (3,) m/s at t of a point (3,) that moves with M and is now here, base frame."""
+        """Velocity (3,) m/s at t of a point that moves with M and is at `point` (3,) m.
+
+        Both in the base frame.
+        """
         kind, rate = MODES[self.mode]
         if kind == "yaw":
             return np.cross([0.0, 0.0, rate], point - np.array(self.pivot))
@@ -46,7 +52,7 @@ class Motion:
         return np.array(self.direction) * (rate if moving else 0.0)
 
     def starts(self, duration: float) -> list[float]:
-        """Times at which the motion sets in after a stand, within the duration."""
+        """Times, s, at which the motion starts after a stand, within the duration."""
         if MODES[self.mode][0] != "steps":
             return []
         return [float(t) for t in np.arange(STAND_S, duration, STAND_S + GO_S)]

@@ -1,7 +1,8 @@
 """Objects that move by a known motion: velocity, lag, prediction over removed frames, pose and box.
 
-The made recordings have exact truth. Real pixels: a still object of a real recording is set moving by changing the
-recorded camera poses (benchmarks.rebase). The real source is found below the folder that DGEVAL_REAL_DATA names, or given.
+The synthetic recordings have exact truth. For real images, a still object of a real recording is
+set moving by changing the recorded camera poses (benchmarks.rebase). The real recording is below
+the folder that DGEVAL_REAL_DATA names, or is given by --source.
 
     python -m benchmarks.moving
     python -m benchmarks.moving --source LOG.mcap --bbox 566,221,631,275 --frames 72:96 --passes 3
@@ -33,14 +34,37 @@ from benchmarks.still_floor import apparent_speed
 
 Box = tuple[float, float, float, float]
 HEAD = (
-    "variant", "frames", "tracked", "lost", "predicted", "with velocity", "RMSE, all", "RMSE, after 1 s", "median, after 1 s",
-    "velocity_sd", "within 95 %", "lag to 90 %, s", "drift p95, mm", "gap: predicted / said, mm", "accepted again after, s",
-)  # fmt: skip
+    "variant",
+    "frames",
+    "tracked",
+    "lost",
+    "predicted",
+    "with velocity",
+    "RMSE, all",
+    "RMSE, after 1 s",
+    "median, after 1 s",
+    "velocity_sd",
+    "within 95 %",
+    "lag to 90 %, s",
+    "drift p95, mm",
+    "gap: predicted / said, mm",
+    "accepted again after, s",
+)
 HEAD_TRUTH = (
-    "recording", "frames", "lost", "predicted", "mm median", "mm p95", "deg median", "deg p95", "IoU median", "IoU p5",
-)  # fmt: skip
-# Kitchen recording: its depth is not registered to colour (fitted: focal 525 px, 25 mm). The patterned mug lies wholly
-# within both cameras from frame 82 on; the chair is a larger target, seen over the table's edge.
+    "recording",
+    "frames",
+    "lost",
+    "predicted",
+    "mm median",
+    "mm p95",
+    "deg median",
+    "deg p95",
+    "IoU median",
+    "IoU p5",
+)
+# Kitchen recording: its depth is not registered to colour (fitted: focal length 525 px, baseline
+# 25 mm). The patterned mug is whole in both images from frame 82 on. The chair is a larger target,
+# visible over the table's edge. Per target: name, box px, frames, passes, radius m (see Real).
 KITCHEN = "kitchen_mug_mcap"
 KITCHEN_COLOUR = ColourCamera(525.0, 0.025)
 KITCHEN_TARGETS = (
@@ -50,7 +74,7 @@ KITCHEN_TARGETS = (
 
 
 def replayed(path: Path, box: Box, config: Config, folder: Path) -> pd.DataFrame:
-    """The frame table of one recording."""
+    """Replay one recording; returns its frame table."""
     spec = TrialSpec(path.stem, path, bbox=box)
     done = replay_trial(spec, config, folder, None, True)
     if done.row is None:
@@ -59,10 +83,15 @@ def replayed(path: Path, box: Box, config: Config, folder: Path) -> pd.DataFrame
 
 
 def variants(
-    source: Trial, box: Box, config: Config, folder: Path, passes: int = 1, colour_camera: ColourCamera | None = None,
+    source: Trial,
+    box: Box,
+    config: Config,
+    folder: Path,
+    passes: int = 1,
+    colour_camera: ColourCamera | None = None,
     direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
-) -> list[list[str]]:  # fmt: skip
-    """One row of HEAD per variant of a source in which the object in the box stands still."""
+) -> list[list[str]]:
+    """One row of HEAD per variant of a source. The object in the box must stand still in it."""
     rows = []
     pivot = (0.0, 0.0, 0.0)
     plans: list[tuple[str, str, bool, bool]] = [(mode, mode, False, True) for mode in MODES]
@@ -80,9 +109,9 @@ def variants(
             source, path, Motion(mode, direction, pivot), passes, drop, with_pose, colour_camera
         )
         frames = replayed(path, box, config, folder)
-        places = frames[measure.FEATURE].dropna().to_numpy(dtype=float)
-        if mode == "still" and with_pose and not with_gap and len(places):
-            pivot = tuple(np.median(places, axis=0).tolist())
+        positions = frames[measure.FEATURE].dropna().to_numpy(dtype=float)
+        if mode == "still" and with_pose and not with_gap and len(positions):
+            pivot = tuple(np.median(positions, axis=0).tolist())
         rows.append(_row(label, frames, written, with_gap, with_pose))
     return rows
 
@@ -98,16 +127,30 @@ def _row(
     )
     v = measure.velocity(frames, written, truth)
     tracking = frames["tracking"].value_counts()
-    gap, again = "–", "–"
+    gap, again_s = "–", "–"
     if with_gap:
-        predicted, said, wait = measure.gap(frames, written)
-        gap, again = f"{n(predicted)} / {n(said)}", n(wait, 2) if np.isfinite(wait) else "never"
+        predicted_mm, table_mm, wait_s = measure.gap(frames, written)
+        gap, again_s = (
+            f"{n(predicted_mm)} / {n(table_mm)}",
+            n(wait_s, 2) if np.isfinite(wait_s) else "never",
+        )
     return [
-        label, str(len(frames)), str(tracking.get("tracked", 0)), str(tracking.get("lost", 0)), str(frames["predicted"].sum()),
-        str(v.known), n(v.rmse_all), n(v.rmse), n(v.median), n(v.sd), f"{n(100 * v.coverage, 0)} %",
+        label,
+        str(len(frames)),
+        str(tracking.get("tracked", 0)),
+        str(tracking.get("lost", 0)),
+        str(frames["predicted"].sum()),
+        str(v.known),
+        n(v.rmse_all),
+        n(v.rmse),
+        n(v.median),
+        n(v.sd),
+        f"{n(100 * v.coverage, 0)} %",
         "not reached" if np.isinf(v.lag_s) else n(v.lag_s, 2),
-        n(measure.drift(frames, written)) if with_pose else "–", gap, again,
-    ]  # fmt: skip
+        n(measure.drift(frames, written)) if with_pose else "–",
+        gap,
+        again_s,
+    ]
 
 
 def _truth_row(label: str, frames: pd.DataFrame, truth: synthetic.Truth) -> list[str]:
@@ -129,7 +172,7 @@ def _truth_row(label: str, frames: pd.DataFrame, truth: synthetic.Truth) -> list
 
 
 def made_recordings(config: Config, folder: Path, n: int) -> list[str]:
-    """Tables of the made recordings: pose and box against truth; velocity for the still box set moving."""
+    """Tables of the synthetic recordings: pose and box against truth, and velocity."""
     rows, sections = [], []
     for label, speed in (
         ("still box", 0.0),
@@ -164,7 +207,10 @@ def made_recordings(config: Config, folder: Path, n: int) -> list[str]:
     sections.append(
         "## Made recording: pose and box against exact truth\n\n" + result.table(HEAD_TRUTH, rows)
     )
-    text = "Velocity errors in mm/s. The still box set moving by changed camera poses, and the box that really slides:"
+    text = (
+        "Velocity errors in mm/s. The still box set moving by changed camera poses, and the box "
+        "that really slides:"
+    )
     sections.append(
         f"## Made recording: velocity\n\n{text}\n\n{result.table(HEAD, [*base_rows, sliding])}"
     )
@@ -201,13 +247,14 @@ def main() -> None:
         sources = _real(args)
         if not sources:
             parts.append(
-                "## Real pixels\n\nNot measured: DGEVAL_REAL_DATA names no folder and no --source was given."
+                "## Real pixels\n\nNot measured: DGEVAL_REAL_DATA names no folder and no --source "
+                "was given."
             )
         for real in sources:
             source = open_trial(TrialSpec("real", real.path, frames=real.cut), config)
             rows = variants(source, real.box, config, folder, real.passes, real.colour_camera)
-            said = f"Velocity errors in mm/s. {_floor(real, config, folder)}"
-            parts.append(f"## Real pixels: {real.title()}\n\n{said}\n\n{result.table(HEAD, rows)}")
+            text = f"Velocity errors in mm/s. {_floor(real, config, folder)}"
+            parts.append(f"## Real pixels: {real.title()}\n\n{text}\n\n{result.table(HEAD, rows)}")
     command = "python -m benchmarks.moving" + "".join(f" --set {s}" for s in args.set)
     command += f" --name {args.name}" if args.name != "moving" else ""
     command += (
@@ -221,7 +268,11 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Real:
-    """A real recording's still object: where it is, and how the recording is used."""
+    """A still object of a real recording, and how the recording is used.
+
+    box: px, in the first used frame. cut: frames A:B. radius: m, of a sphere round the target that
+    holds nothing else but table; None: the recording's own error is not measured.
+    """
 
     path: Path
     name: str
@@ -229,38 +280,39 @@ class Real:
     cut: tuple[int, int] | None
     passes: int
     colour_camera: ColourCamera | None
-    radius: (
-        float | None
-    )  # m, of the sphere that holds the target and stands free on a table; None: no floor is measured
+    radius: float | None
 
     def title(self) -> str:
         span = f"frames {self.cut[0]}:{self.cut[1]}" if self.cut else "all frames"
-        how = f"{self.name} of {self.path.name}, {span}, {self.passes} pass(es), box {','.join(f'{v:g}' for v in self.box)}"
+        text = (
+            f"{self.name} of {self.path.name}, {span}, {self.passes} pass(es), box "
+            f"{','.join(f'{v:g}' for v in self.box)}"
+        )
         c = self.colour_camera
-        return how + (
+        return text + (
             f", depth put into the colour camera ({c.focal:g} px, {c.baseline:g} m)" if c else ""
         )
 
 
 def _floor(real: Real, config: Config, folder: Path) -> str:
-    """A sentence on how still the object is in the recording itself."""
+    """A sentence on the apparent motion of the still object in the recording itself."""
     if real.radius is None:
         return ""
     source = open_trial(TrialSpec("real", real.path, frames=real.cut), config)
     path = folder / "floor.mcap"
     rebase(source, path, Motion("still"), 1, None, True, real.colour_camera)
-    places = (
+    positions = (
         replayed(path, real.box, config, folder)[measure.FEATURE].dropna().to_numpy(dtype=float)
     )
-    if not len(places):
+    if not len(positions):
         return "No feature point, so no floor."
-    speed, far = apparent_speed(
-        open_trial(TrialSpec("floor", path), config), np.median(places, axis=0), real.radius
+    speed_mm_s, largest_mm = apparent_speed(
+        open_trial(TrialSpec("floor", path), config), np.median(positions, axis=0), real.radius
     )
     return (
-        f"Without any tracker, from raw depth and the recorded poses alone, what stands there appears to move at "
-        f"{speed:.1f} mm/s (up to {far:.1f} mm from its place in the middle frame): the recording's own "
-        "error."
+        "Without any tracker, from raw depth and the recorded poses alone, what stands there "
+        f"appears to move at {speed_mm_s:.1f} mm/s (up to {largest_mm:.1f} mm from its place in "
+        "the middle frame): the recording's own error."
     )
 
 
@@ -294,12 +346,18 @@ def _real(args: argparse.Namespace) -> list[Real]:
     ]
 
 
-NOTES = """Columns: RMSE and median of |velocity error| (3-D) at the feature point; "within 95 %": share of settled frames whose
-|error|² / velocity_sd² is below the 95 % point of chi-square with 3 degrees of freedom, velocity_sd (the largest axis) taken
-for every axis, which flatters; drift: the feature point's distance from its median place, where the object stood still; gap:
-0.5 s of frames removed, the estimator's prediction from the last frame before and what the table says in the first frame
-after, both against the truth. Without camera pose the base frame is the camera's, and so is the velocity; where a recording
-is played back and forth, the camera's motion turns round from one frame to the next, which is unfair to that variant."""
+NOTES = (
+    'Columns: RMSE and median of |velocity error| (3-D) at the feature point; "within 95 %": '
+    "share of settled frames whose\n|error|² / velocity_sd² is below the 95 % point of "
+    "chi-square with 3 degrees of freedom, velocity_sd (the largest axis) taken\nfor every axis, "
+    "which flatters; drift: the feature point's distance from its median place, where the object "
+    "stood still; gap:\n0.5 s of frames removed, the estimator's prediction from the last frame "
+    "before and what the table says in the first frame\nafter, both against the truth. Without "
+    "camera pose the base frame is the camera's, and so is the velocity; where a recording\nis "
+    "played back and forth, the camera's motion turns round from one frame to the next, which is "
+    "unfair to that variant."
+)
+
 
 if __name__ == "__main__":
     main()

@@ -1,10 +1,11 @@
-"""Moving objects on real pixels: a recording whose camera poses are replaced by M(t) · T_base_camera(t).
+"""Moving objects in real images: a recording with other camera poses, M(t) · T_base_camera(t).
 
-What stood still in the base frame then moves in it exactly as M(t) does, while every image is passed on as recorded. The
-variant holds colour, depth, intrinsics, /tf from base to camera, and /camera_pose if the source had one; nothing else of
-the source. With --passes 2 or 3 the frames run forward, backward, forward at the median frame period, so that a short
-sight of an object gives a longer trial; the camera path stays continuous. --colour-camera is for sources whose depth is
-not registered to colour: depth is then resampled into the colour camera, and only colour is passed on as recorded.
+What stood still in the base frame then moves in it exactly as M(t), and every image stays as it was
+recorded. The variant holds colour, depth, intrinsics, /tf from base to camera, and /camera_pose if
+the source has it; nothing else of the source. With --passes 2 or 3 the frames run forward,
+backward, forward at the median frame period, so that a short recording gives a longer trial; the
+camera path stays continuous. --colour-camera is for a source whose depth is not registered to
+colour: depth is then resampled into the colour camera, and only colour stays as it was recorded.
 
     python -m benchmarks.rebase SOURCE OUT.mcap --mode 200mm/s --frames 72:96 --passes 3
 """
@@ -38,7 +39,11 @@ from benchmarks.motion import MODES, Motion
 
 @dataclass(frozen=True)
 class Written:
-    """Truth of a variant, per written frame: stamp ns, seconds since the first, M(t), T_base_camera of the source."""
+    """Truth of a variant, per written frame.
+
+    t_ns: stamp. seconds: since the source's first frame. M: M(t). T_source: T_base_camera of the
+    source. source_frame: index in the source.
+    """
 
     t_ns: list[int]
     seconds: Array
@@ -57,7 +62,7 @@ def rebase(
     with_pose: bool = True,
     colour_camera: ColourCamera | None = None,
 ) -> Written:
-    """Write the variant of one trial. `drop` = (from, for) s after the first frame: frames left out."""
+    """Write the variant of one trial; frames from drop[0] s on, for drop[1] s, are left out."""
     images = _images(trial)
     order = _order(len(images), passes)
     stamps = [images[k][0] for k in range(len(images))]
@@ -68,8 +73,8 @@ def rebase(
     assert trial.roles.depth is not None
     written: list[tuple[int, Array, Array | None, int]] = []
     with McapWriter(out) as writer:
-        for place, k in enumerate(order):
-            t_ns = stamps[k] if passes == 1 else stamps[0] + place * period
+        for position, k in enumerate(order):
+            t_ns = stamps[k] if passes == 1 else stamps[0] + position * period
             t = (t_ns - stamps[0]) * 1e-9
             M, T = motion.at(t), trial.robot.T_base_camera(stamps[k])
             if T is not None and colour_camera is not None:
@@ -115,32 +120,38 @@ def rebase(
 
 
 def _images(trial: Trial) -> list[tuple[int, Any, Any]]:
-    """(stamp ns, colour message, depth message) of every paired frame; held in memory, so for short trials."""
+    """(stamp ns, colour message, depth message) of every paired frame, all in memory."""
     topics = {trial.roles.colour: 1, trial.roles.depth: 2}
-    wanted = {(role, pair[role]): k for k, pair in enumerate(trial.pairs) for role in (1, 2)}
+    pair_of = {(role, pair[role]): k for k, pair in enumerate(trial.pairs) for role in (1, 2)}
     out: list[list[Any]] = [[pair[0], None, None] for pair in trial.pairs]
-    seen = {1: -1, 2: -1}
+    count = {1: -1, 2: -1}
     for raw in trial.opened.messages(frozenset(t for t in topics if t)):
         role = topics[raw.topic]
-        seen[role] += 1
-        at = wanted.get((role, seen[role]))
-        if at is not None:
-            out[at][role] = trial.opened.decode(raw)
+        count[role] += 1
+        pair_index = pair_of.get((role, count[role]))
+        if pair_index is not None:
+            out[pair_index][role] = trial.opened.decode(raw)
     return [(t, colour, depth) for t, colour, depth in out]
 
 
 def raw_depth_message(t_ns: int, frame_id: str, millimetres: Any) -> Any:
-    """uint16 mm (H, W) as sensor_msgs/Image 16UC1; packing noisy depth as PNG takes a second a frame."""
+    """Depth (H, W) mm as sensor_msgs/Image 16UC1. (A PNG of noisy depth takes 1 s per frame.)"""
     height, width = millimetres.shape
     data = np.ascontiguousarray(millimetres, dtype="<u2").view(np.uint8).ravel()
     return message(
-        "sensor_msgs/Image", header=header(t_ns, frame_id), height=height, width=width, encoding="16UC1", is_bigendian=0,
-        step=2 * width, data=data,
-    )  # fmt: skip
+        "sensor_msgs/Image",
+        header=header(t_ns, frame_id),
+        height=height,
+        width=width,
+        encoding="16UC1",
+        is_bigendian=0,
+        step=2 * width,
+        data=data,
+    )
 
 
 def _restamped(value: Any, t_ns: int) -> Any:
-    """The image message as ROS 2, its pixels untouched, with another stamp."""
+    """The image message as ROS 2 with another stamp; its pixels are unchanged."""
     kind: Any = TYPES[value.__msgtype__]
     names = [f.name for f in fields(kind) if f.name not in ("header", "__msgtype__")]
     return kind(header=header(t_ns, value.header.frame_id), **{n: getattr(value, n) for n in names})

@@ -1,4 +1,4 @@
-"""Which registration is the default, and what its gate lets through: accuracy, time, determinism, false accepts.
+"""Registration methods and their gate: accuracy, time, determinism, false accepts and rejects.
 
 python -m benchmarks.registration
 """
@@ -23,8 +23,8 @@ from dgeval.perception.types import Features, Model, Observation
 from benchmarks import registration_scenes as scenes
 from benchmarks import result
 
-START_M, START_RAD = 0.005, float(np.deg2rad(2.0))
-WRONG_MM, WRONG_DEG = 5.0, 5.0
+START_M, START_RAD = 0.005, float(np.deg2rad(2.0))  # error of the start pose
+WRONG_MM, WRONG_DEG = 5.0, 5.0  # a pose farther off counts as wrong
 VIEWS, DRAWS = 4, 5  # views per range and noise draws per view
 METHODS: dict[str, tuple[str, bool]] = {
     # name: (backend, with image features)
@@ -44,7 +44,7 @@ NO_FEATURES = Features(np.zeros((0, 3)), np.zeros((0, 2)))
 
 @dataclass(frozen=True)
 class Case:
-    """One observation with its camera, true pose, the pose to start from, and image features."""
+    """One observation with camera, true pose, start pose (T_camera_model) and image features."""
 
     observation: Observation
     camera: Intrinsics
@@ -55,7 +55,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Fit:
-    """Error at the object's centre mm, in angle deg; seconds of the backend's call; gate's reason and fitness."""
+    """Result of one registration.
+
+    mm, deg: error of the object's centre and of the angle. seconds: of the call. reason: of the
+    gate's rejection, None if accepted. fitness: the gate's; wide_fitness: within the search radius.
+    """
 
     mm: float
     deg: float
@@ -66,74 +70,86 @@ class Fit:
 
 
 def fit(case: Case, model: Model, method: str, gate_from: Array) -> Fit:
-    """Register and gate one case; the gate's motion is measured from `gate_from`, one frame at 30 Hz before."""
+    """Register and gate one case.
+
+    gate_from: T_camera_model one frame (1/30 s) before, from which the gate measures the motion.
+    """
     backend, with_features = METHODS[method]
     config = RegistrationConfig(method=backend, colour=with_features)
-    before = time.perf_counter()
+    start_s = time.perf_counter()
     features = case.features if with_features else None
-    done = register(case.observation, model, case.start, features, case.camera, config)
-    seconds = time.perf_counter() - before
-    reason = gate(done, gate_from, np.zeros(3), 1 / 30, config)
-    mm = float(np.linalg.norm(done.T_camera_model[:3, 3] - case.truth[:3, 3])) * 1e3
-    deg = float(np.rad2deg(rotation_angle(done.T_camera_model[:3, :3].T @ case.truth[:3, :3])))
-    return Fit(mm, deg, seconds, reason, done.gate_fitness, done.fitness)
+    registered = register(case.observation, model, case.start, features, case.camera, config)
+    seconds = time.perf_counter() - start_s
+    reason = gate(registered, gate_from, np.zeros(3), 1 / 30, config)
+    mm = float(np.linalg.norm(registered.T_camera_model[:3, 3] - case.truth[:3, 3])) * 1e3
+    deg = float(
+        np.rad2deg(rotation_angle(registered.T_camera_model[:3, :3].T @ case.truth[:3, :3]))
+    )
+    return Fit(mm, deg, seconds, reason, registered.gate_fitness, registered.fitness)
 
 
 def alone(case: Case, model: Model, backend: str) -> tuple[float, float, float]:
-    """Error mm and deg of the backend before the refinement that `register` adds, and the ms it takes."""
+    """(error mm, error deg, time ms) of a backend without the refinement that `register` adds."""
     config = RegistrationConfig(method=backend)
-    before = time.perf_counter()
+    start_s = time.perf_counter()
     T = invert(BACKENDS[backend](case.observation.points, model, invert(case.start), config))
-    ms = (time.perf_counter() - before) * 1e3
+    ms = (time.perf_counter() - start_s) * 1e3
     mm = float(np.linalg.norm(T[:3, 3] - case.truth[:3, 3])) * 1e3
     return mm, float(np.rad2deg(rotation_angle(T[:3, :3].T @ case.truth[:3, :3]))), ms
 
 
 def first_model(draws: int) -> str:
-    """The gate in the second frame, when the model is one observation: a model too sparse for its size is never joined."""
+    """Table of the gate in the second frame, when the model is one observation.
+
+    A model too sparse for its size would never accept a second observation.
+    """
     rows = []
     for b, (box, half) in enumerate({**scenes.BOXES, **scenes.LARGE}.items()):
         row = [box]
         for distance in scenes.RANGES:
             rng = np.random.default_rng(1000 + b)
-            seen = scenes.view(half, distance, 0.0, np.zeros(3), 0.0)
+            view = scenes.view(half, distance, 0.0, np.zeros(3), 0.0)
             fits = []
             for _ in range(VIEWS * draws):
-                model = scenes.model_of([seen], rng)
+                model = scenes.model_of([view], rng)
                 case = Case(
-                    scenes.observed(seen, rng),
-                    seen.camera,
-                    seen.T_camera_object,
-                    seen.T_camera_object,
+                    scenes.observed(view, rng),
+                    view.camera,
+                    view.T_camera_object,
+                    view.T_camera_object,
                     NO_FEATURES,
                 )
                 fits.append(fit(case, model, "small_gicp", case.truth))
             row.append(
-                f"{sum(f.reason is not None for f in fits)} of {len(fits)} ({np.median([f.fitness for f in fits]):.2f})"
+                f"{sum(f.reason is not None for f in fits)} of {len(fits)} "
+                f"({np.median([f.fitness for f in fits]):.2f})"
             )
         rows.append(row)
-    text = "True pose seen again from the same view with new noise, started at the truth: refused (median gate fitness)."
+    text = (
+        "True pose seen again from the same view with new noise, started at the truth: refused "
+        "(median gate fitness)."
+    )
     return f"## Second frame\n\n{text}\n\n" + result.table(
         ["box", *(f"{d:g} m" for d in scenes.RANGES)], rows
     )
 
 
 def cases(half: tuple[float, float, float], distance: float, seed: int, draws: int) -> list[Case]:
-    """True poses observed; starts 5 mm and 2 degrees off."""
+    """Observations at known poses; start poses are START_M and START_RAD off."""
     rng = np.random.default_rng(seed)
     out = []
     for turn in np.linspace(-0.06, 0.06, VIEWS):
-        seen = scenes.view(half, distance, float(turn), np.zeros(3), 0.0)
+        view = scenes.view(half, distance, float(turn), np.zeros(3), 0.0)
         for _ in range(draws):
-            seen_features = scenes.features(seen, rng)
-            start = scenes.disturbed(seen.T_camera_object, rng, START_M, START_RAD)
+            features = scenes.features(view, rng)
+            start = scenes.disturbed(view.T_camera_object, rng, START_M, START_RAD)
             out.append(
                 Case(
-                    scenes.observed(seen, rng),
-                    seen.camera,
-                    seen.T_camera_object,
+                    scenes.observed(view, rng),
+                    view.camera,
+                    view.T_camera_object,
                     start,
-                    seen_features,
+                    features,
                 )
             )
     return out
@@ -142,7 +158,7 @@ def cases(half: tuple[float, float, float], distance: float, seed: int, draws: i
 def moved_cases(
     half: tuple[float, float, float], distance: float, kind: str, seed: int, draws: int
 ) -> list[Case]:
-    """The box shifted or turned between two frames; registration starts where it was."""
+    """The box shifted or turned between two frames; registration starts at the earlier pose."""
     rng = np.random.default_rng(seed)
     shift_m, turn = MOVED[kind]
     before = scenes.view(half, distance, 0.0, np.zeros(3), 0.0)
@@ -150,16 +166,16 @@ def moved_cases(
     for k in range(VIEWS):
         angle = k * np.pi / 2 + 0.4
         shift = shift_m * np.array([np.cos(angle), np.sin(angle), 0.0])
-        seen = scenes.view(half, distance, 0.0, shift, turn)
+        view = scenes.view(half, distance, 0.0, shift, turn)
         for _ in range(draws):
-            seen_features = scenes.features(seen, rng)
+            features = scenes.features(view, rng)
             out.append(
                 Case(
-                    scenes.observed(seen, rng),
-                    seen.camera,
-                    seen.T_camera_object,
+                    scenes.observed(view, rng),
+                    view.camera,
+                    view.T_camera_object,
                     before.T_camera_object,
-                    seen_features,
+                    features,
                 )
             )
     return out
@@ -172,7 +188,7 @@ def quantiles(values: list[float], digits: int) -> str:
 def measured(draws: int, progress: Callable[[str], None]) -> list[str]:
     """The tables of accuracy, time and gate."""
     accuracy, gates, times = [], [], {m: [] for m in METHODS}  # type: ignore[var-annotated]
-    raw: dict[tuple[str, float], list[tuple[float, float, float]]] = {}
+    backend_errors: dict[tuple[str, float], list[tuple[float, float, float]]] = {}
     pooled: dict[tuple[str, float, str], list[tuple[str, Fit]]] = {}
     for b, (box, half) in enumerate(scenes.BOXES.items()):
         for r, distance in enumerate(scenes.RANGES):
@@ -183,26 +199,30 @@ def measured(draws: int, progress: Callable[[str], None]) -> list[str]:
             sets |= {kind: moved_cases(half, distance, kind, seed + 2, draws) for kind in MOVED}
             row = [box, f"{distance:g}"]
             for backend in BACKENDS:
-                raw.setdefault((backend, distance), []).extend(
+                backend_errors.setdefault((backend, distance), []).extend(
                     alone(c, model, backend) for c in sets["true pose"]
                 )
             for method in METHODS:
-                for kind, given in sets.items():
+                for kind, case_set in sets.items():
                     fits = [
                         fit(c, model, method, c.truth if kind == "true pose" else c.start)
-                        for c in given
+                        for c in case_set
                     ]
                     pooled.setdefault((method, distance, kind), []).extend((box, f) for f in fits)
                     if kind == "true pose":
                         times[method] += [f.seconds * 1e3 for f in fits]
                         row.append(
-                            f"{quantiles([f.mm for f in fits], 1)}; {quantiles([f.deg for f in fits], 1)}"
+                            f"{quantiles([f.mm for f in fits], 1)}; "
+                            f"{quantiles([f.deg for f in fits], 1)}"
                         )
             accuracy.append(row)
     for method in METHODS:
         for distance in scenes.RANGES:
-            true = [f for _, f in pooled[method, distance, "true pose"]]
-            rejects = f"{sum(f.reason is not None for f in true)} of {len(true)} ({np.min([f.fitness for f in true]):.2f})"
+            true_fits = [f for _, f in pooled[method, distance, "true pose"]]
+            rejects = (
+                f"{sum(f.reason is not None for f in true_fits)} of {len(true_fits)} "
+                f"({np.min([f.fitness for f in true_fits]):.2f})"
+            )
             gates.append(
                 [
                     method,
@@ -211,54 +231,69 @@ def measured(draws: int, progress: Callable[[str], None]) -> list[str]:
                     *(_moved_cell(pooled[method, distance, kind]) for kind in MOVED),
                 ]
             )
-    before = []
+    backend_rows = []
     for backend in BACKENDS:
         row = [backend]
         for distance in scenes.RANGES:
-            mm, deg, _ = zip(*raw[backend, distance], strict=True)
+            mm, deg, _ = zip(*backend_errors[backend, distance], strict=True)
             row.append(f"{quantiles(list(mm), 1)}; {quantiles(list(deg), 1)}")
-        before.append(
-            [*row, quantiles([ms for d in scenes.RANGES for *_, ms in raw[backend, d]], 1)]
+        backend_rows.append(
+            [
+                *row,
+                quantiles([ms for d in scenes.RANGES for *_, ms in backend_errors[backend, d]], 1),
+            ]
         )
-    speed = [[m, quantiles(t, 1)] for m, t in times.items()]
+    time_rows = [[m, quantiles(t, 1)] for m, t in times.items()]
     return [
-        f"## Accuracy\n\nmm median / p95; deg median / p95; started {START_M * 1e3:g} mm and 2° off; {VIEWS * draws} cases "
-        "per row.\n\n" + result.table(["box", "range, m", *METHODS], accuracy),
-        "## The backend alone\n\nAs above, all boxes, before the refinement on the measured normals that `register` "
-        "adds to each; time of the backend's call.\n\n"
-        + result.table(["method", *(f"{d:g} m" for d in scenes.RANGES), "ms"], before),
+        f"## Accuracy\n\nmm median / p95; deg median / p95; started {START_M * 1e3:g} mm and 2° "
+        f"off; {VIEWS * draws} cases per row.\n\n"
+        + result.table(["box", "range, m", *METHODS], accuracy),
+        "## The backend alone\n\nAs above, all boxes, before the refinement on the measured "
+        "normals that `register` adds to each; time of the backend's call.\n\n"
+        + result.table(["method", *(f"{d:g} m" for d in scenes.RANGES), "ms"], backend_rows),
         "## Time per call of `register`, one thread\n\nms, median / p95, fitness included.\n\n"
-        + result.table(["method", "ms"], speed),
-        "## Gate\n\nFalse rejects: true poses refused (least gate fitness). Moved boxes, registration started where the box "
-        f"was: poses found within {WRONG_MM:g} mm and {WRONG_DEG:g}°; then of the wrong ones how many have more than 0.8 of "
-        "their points matched within the search radius of 20 mm → pass the gate's own fitness → pass the whole gate (with "
-        "the motion limits, 1/30 s).\n\n"
+        + result.table(["method", "ms"], time_rows),
+        "## Gate\n\nFalse rejects: true poses refused (least gate fitness). Moved boxes, "
+        f"registration started where the box was: poses found within {WRONG_MM:g} mm and "
+        f"{WRONG_DEG:g}°; then of the wrong ones how many have more than 0.8 of their points "
+        "matched within the search radius of 20 mm → pass the gate's own fitness → pass the whole "
+        "gate (with the motion limits, 1/30 s).\n\n"
         + result.table(["method", "range, m", "false rejects", *MOVED], gates),
     ]
 
 
 def _moved_cell(fits: list[tuple[str, Fit]]) -> str:
-    """Right ones; of the wrong ones those over the limit by the wide fitness, by the gate's, through the whole gate."""
-    least = RegistrationConfig().c_a_f
-    off = [(box, f) for box, f in fits if f.mm > WRONG_MM or f.deg > WRONG_DEG]
-    through = [box for box, f in off if f.reason is None]
-    counts = f"{sum(f.wide_fitness > least for _, f in off)} → {sum(f.fitness > least for _, f in off)} → {len(through)}"
-    names = ", ".join(f"{through.count(b)} {b.split(' ')[0]}" for b in sorted(set(through)))
-    return f"{len(fits) - len(off)} right; {counts}" + (f" ({names})" if names else "")
+    """Counts of right poses, and of wrong poses that pass one more condition each.
+
+    Wide fitness over the limit, the gate's fitness over the limit, the whole gate passed.
+    """
+    limit = RegistrationConfig().c_a_f
+    wrong = [(box, f) for box, f in fits if f.mm > WRONG_MM or f.deg > WRONG_DEG]
+    passed = [box for box, f in wrong if f.reason is None]
+    counts = (
+        f"{sum(f.wide_fitness > limit for _, f in wrong)} → "
+        f"{sum(f.fitness > limit for _, f in wrong)} → {len(passed)}"
+    )
+    names = ", ".join(f"{passed.count(b)} {b.split(' ')[0]}" for b in sorted(set(passed)))
+    return f"{len(fits) - len(wrong)} right; {counts}" + (f" ({names})" if names else "")
 
 
 def poses_digest(backend: str, repeats: int) -> str:
-    """SHA-256 over the poses of a few cases, each repeated; names a difference between repeats."""
+    """SHA-256 over the poses of a few cases, each repeated; a text where repeats differ."""
     half = scenes.BOXES["box 16x10x7 cm"]
     model = scenes.model(half, 0.5, np.random.default_rng(0))
     digest = hashlib.sha256()
     config = RegistrationConfig(method=backend)
     for case in cases(half, 0.5, 1, 1):
-        all_ = {register(case.observation, model, case.start, None, scenes.FULL, config).T_camera_model.tobytes()
-                for _ in range(repeats)}  # fmt: skip
-        digest.update(b"".join(sorted(all_)))
-        if len(all_) > 1:
-            return f"{len(all_)} different results in {repeats} repeats"
+        poses = {
+            register(
+                case.observation, model, case.start, None, scenes.FULL, config
+            ).T_camera_model.tobytes()
+            for _ in range(repeats)
+        }
+        digest.update(b"".join(sorted(poses)))
+        if len(poses) > 1:
+            return f"{len(poses)} different results in {repeats} repeats"
     return digest.hexdigest()[:16]
 
 

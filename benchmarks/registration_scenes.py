@@ -1,4 +1,7 @@
-"""Observations and models of boxes on a table, rendered at a range, with the stages' own cropping and normals."""
+"""Rendered observations and models of boxes on a table at a given range.
+
+Cropping and normals are those of dgeval's own stages.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,10 @@ GREY = np.full((8, 8, 3), 128, np.uint8)
 
 @dataclass(frozen=True)
 class View:
-    """One rendered view without noise: its camera (a crop of FULL), depth m, the box's pixels, T_camera_object."""
+    """One rendered view without noise.
+
+    camera: a crop of FULL. depth: (H, W) m. mask: pixels of the box.
+    """
 
     camera: Intrinsics
     depth: Array
@@ -45,7 +51,10 @@ class View:
 def view(
     half: tuple[float, float, float], distance: float, turn: float, shift: Array, yaw: float
 ) -> View:
-    """The box seen from `distance` m, the camera `turn` rad around it; the box shifted (3,) m and turned by yaw rad."""
+    """Render the box from `distance` m, the camera turned by `turn` rad about the vertical.
+
+    half: half lengths of the box, m. shift, yaw: of the box on the table, (3,) m and rad.
+    """
     T_object = increment(np.array([*shift, 0.0, 0.0, YAW + yaw]))
     T_object[2, 3] += half[2]
     at = np.array([0.0, 0.0, half[2]])
@@ -70,13 +79,15 @@ def view(
     return View(crop, depth, ids == 0, T)
 
 
-def observed(seen: View, rng: np.random.Generator) -> Observation:
-    """P_t of a view with the sensor noise of datasets/raycast.py; the mask is the true one."""
-    colour, millimetres = add_noise(rng, np.zeros((*seen.depth.shape, 3), np.uint8), seen.depth)
+def observed(rendered: View, rng: np.random.Generator) -> Observation:
+    """P_t of a view with the sensor noise of datasets/raycast.py and the true mask."""
+    colour, millimetres = add_noise(
+        rng, np.zeros((*rendered.depth.shape, 3), np.uint8), rendered.depth
+    )
     depth = (millimetres / 1000.0).astype(np.float32)
-    frame = Frame(0, 0, colour, depth, seen.camera, None, None)
-    window = (0, 0, seen.camera.width, seen.camera.height)
-    mask = seen.mask & (depth > 0)
+    frame = Frame(0, 0, colour, depth, rendered.camera, None, None)
+    window = (0, 0, rendered.camera.width, rendered.camera.height)
+    mask = rendered.mask & (depth > 0)
     tracked = Tracked("tracked", tuple(float(v) for v in window), window, mask, int(mask.sum()))  # type: ignore[arg-type]
     observation = observe(frame, tracked, rng, ObservationConfig())
     assert observation is not None
@@ -84,7 +95,10 @@ def observed(seen: View, rng: np.random.Generator) -> Observation:
 
 
 def model(half: tuple[float, float, float], distance: float, rng: np.random.Generator) -> Model:
-    """Q after six accepted frames at true poses, the camera turning by 5 degrees; model frame = the object's."""
+    """Q after six accepted frames at true poses, over which the camera turns by 5 degrees.
+
+    The model frame is the object frame.
+    """
     return model_of(
         [
             view(half, distance, float(turn), np.zeros(3), 0.0)
@@ -95,27 +109,27 @@ def model(half: tuple[float, float, float], distance: float, rng: np.random.Gene
 
 
 def model_of(views: list[View], rng: np.random.Generator) -> Model:
-    """Q after views at true poses, noise drawn for each; model frame = the object's."""
+    """Q after views at true poses, each with new noise. The model frame is the object frame."""
     fusion = Fusion(FusionConfig())
-    for seen in views:
-        fusion.step(observed(seen, rng), invert(seen.T_camera_object), rng)
+    for rendered in views:
+        fusion.step(observed(rendered, rng), invert(rendered.T_camera_object), rng)
     assert fusion.model is not None
     return fusion.model
 
 
-def features(seen: View, rng: np.random.Generator) -> Features:
-    """Points of the visible faces and where a feature tracker with 0.5 px noise sees them."""
-    v, u = np.nonzero(seen.mask)
+def features(rendered: View, rng: np.random.Generator) -> Features:
+    """Points of the visible faces, and their pixels with a tracker's noise of FEATURE_NOISE_PX."""
+    v, u = np.nonzero(rendered.mask)
     chosen = rng.choice(len(v), min(FEATURES, len(v)), replace=False)
-    points = seen.camera.backproject(
-        u[chosen].astype(float), v[chosen].astype(float), seen.depth[v[chosen], u[chosen]]
+    points = rendered.camera.backproject(
+        u[chosen].astype(float), v[chosen].astype(float), rendered.depth[v[chosen], u[chosen]]
     )
-    pixels = seen.camera.project(points) + rng.normal(0, FEATURE_NOISE_PX, (len(points), 2))
-    return Features(transform(invert(seen.T_camera_object), points), pixels)
+    pixels = rendered.camera.project(points) + rng.normal(0, FEATURE_NOISE_PX, (len(points), 2))
+    return Features(transform(invert(rendered.T_camera_object), points), pixels)
 
 
 def disturbed(T: Array, rng: np.random.Generator, metres: float, angle: float) -> Array:
-    """T with the object's centre shifted by `metres` and its axes turned by `angle` rad, both in random directions."""
+    """T with its origin shifted by `metres` and its axes turned by `angle` rad, both at random."""
     shift, axis = rng.standard_normal(3), rng.standard_normal(3)
     out = T.copy()
     out[:3, :3] = (

@@ -1,4 +1,4 @@
-"""Result files: Markdown tables headed by the command, the version and the platform that made them."""
+"""Result files: Markdown tables under the command, version and platform that made them."""
 
 from __future__ import annotations
 
@@ -20,18 +20,21 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def number(value: float | None, digits: int = 1) -> str:
-    """A number for a table; – where there is none."""
+    """A number for a table; – where it is None or not finite."""
     return "–" if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
 
 
 def write(
     name: str, title: str, command: str, parts: Sequence[str], folder: Path = RESULTS
 ) -> Path:
-    """results/NAME.md: title, how it was made, the parts."""
-    made = f"Made by `{command}` with dgeval {dgeval.__version__} (sources {source_digest()}) on {processor()}."
+    """Write results/NAME.md: title, the command and version that made it, the parts."""
+    origin = (
+        f"Made by `{command}` with dgeval {dgeval.__version__} (sources {source_digest()}) on "
+        f"{processor()}."
+    )
     path = folder / f"{name}.md"
     folder.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n\n".join([f"# {title}", made, *parts]) + "\n", encoding="utf-8")
+    path.write_text("\n\n".join([f"# {title}", origin, *parts]) + "\n", encoding="utf-8")
     return path
 
 
@@ -45,14 +48,14 @@ def source_digest() -> str:
 
 
 def processor() -> str:
-    """The processor's name where the system tells it, else its architecture; Python's version."""
+    """Name of the processor (Linux) or its architecture, and the version of Python."""
     name = platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
-        found = [
+        models = [
             line.split(":", 1)[1].strip()
             for line in info.read_text().splitlines()
             if line.startswith("model name")
         ]
-        name = found[0] if found else name
+        name = models[0] if models else name
     return f"{name}, Python {platform.python_version()}"

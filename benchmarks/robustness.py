@@ -1,7 +1,9 @@
-"""Verdicts on changed recordings of the same trials: `python -m benchmarks.robustness MANIFEST… [--trial ID…] --work DIR`.
+"""Verdicts on changed recordings of the same trials.
 
-Nothing is simulated again: each recording is rewritten with one thing changed, replayed, and its verdict set beside the
-truth and beside the verdict on the recording as it is.
+`python -m benchmarks.robustness MANIFEST… [--trial ID…] --work DIR`
+
+Nothing is simulated again. Each recording is rewritten with one change and replayed. Its verdict is
+compared with the truth and with the verdict on the unchanged recording.
 """
 
 from __future__ import annotations
@@ -36,15 +38,21 @@ from benchmarks.result import RESULTS, table, write
 
 INFO_TOPIC = "/camera/color/camera_info"
 HAND_EYE = np.array([0.003, -0.003, 0.0026, *np.radians([0.6, -0.6, 0.5])])  # 5 mm and 1 degree
-DROPPED, LATE_NS = 0.10, 30_000_000
+DROPPED = 0.10  # share of colour and depth messages
+LATE_NS = 30_000_000  # ns
 CHANGES = (
-    "as recorded", "hand-eye off by 5 mm and 1 degree", "depth noise doubled", "10 % of frames dropped", "no efforts",
-    "no beliefs", "depth stamped 30 ms late",
-)  # fmt: skip
+    "as recorded",
+    "hand-eye off by 5 mm and 1 degree",
+    "depth noise doubled",
+    "10 % of frames dropped",
+    "no efforts",
+    "no beliefs",
+    "depth stamped 30 ms late",
+)
 
 
 def changed(name: str, topic: str, log_ns: int, value: Any, focal: float) -> Any:
-    """One message after a change, None to leave it out. focal: of the colour camera, px."""
+    """One message after a change; None: left out. focal: of the colour camera, px."""
     match name, topic:
         case ("hand-eye off by 5 mm and 1 degree", "/robot_description"):
             return replace(value, data=hand_eye(value.data))
@@ -64,7 +72,7 @@ def changed(name: str, topic: str, log_ns: int, value: Any, focal: float) -> Any
 
 
 def hand_eye(description: str) -> str:
-    """The description with the camera elsewhere on the hand than it was."""
+    """The robot description with the camera's pose on the hand changed by HAND_EYE."""
     robot = ElementTree.fromstring(description)
     joint = next(j for j in robot.iter("joint") if j.find("child").attrib["link"] == CAMERA_FRAME)  # type: ignore[union-attr]
     origin = joint.find("origin")
@@ -81,14 +89,16 @@ def hand_eye(description: str) -> str:
 
 
 def noisier(data: NDArray[np.uint8], log_ns: int, focal: float) -> NDArray[np.uint8]:
-    """Compressed depth with twice the noise of the camera's model, in disparity and smooth over a window as there."""
+    """Compressed depth with twice the noise of the camera's model.
+
+    The noise is in disparity and correlated over a window, as in the model.
+    """
     depth = cv2.imdecode(data[12:], cv2.IMREAD_UNCHANGED)
     smooth = cv2.GaussianBlur(
         generator(0, "noisier", log_ns % 2**31).normal(size=depth.shape), (0, 0), D435.correlation
     )
-    smooth *= (
-        np.sqrt(3) * D435.subpixel_sigma / smooth.std()
-    )  # variances add: three more parts beside the one that is there
+    # variances add: three times the variance on top of the recorded one gives twice the noise
+    smooth *= np.sqrt(3) * D435.subpixel_sigma / smooth.std()
     disparity = focal * D435.baseline / np.maximum(depth * D435.depth_unit, 1e-3) + smooth
     noisy = np.where(
         depth > 0, focal * D435.baseline / np.maximum(disparity, 1e-3) / D435.depth_unit, 0
@@ -98,7 +108,7 @@ def noisier(data: NDArray[np.uint8], log_ns: int, focal: float) -> NDArray[np.ui
 
 
 def rewrite(source: Path, target: Path, name: str) -> None:
-    """The recording with a change, topics and order as they are."""
+    """Write the recording with a change; topics and order stay."""
     focal = 0.0
     with source.open("rb") as stream, McapWriter(target) as writer:
         for schema, channel, m in make_reader(stream).iter_messages():
@@ -112,7 +122,7 @@ def rewrite(source: Path, target: Path, name: str) -> None:
 
 
 def verdict(job: tuple[TrialSpec, str, Path]) -> dict[str, Any]:
-    """The row of one trial's changed recording."""
+    """Replay one trial's changed recording; returns the row of its verdict."""
     spec, name, work = job
     folder = work / name.replace(" ", "-").replace("%", "percent")
     folder.mkdir(parents=True, exist_ok=True)
@@ -172,24 +182,32 @@ def main() -> None:
                 file.flush()
                 print(row["trial"], row["change"], row["outcome"], row["failure_class"], flush=True)
     rows = [json.loads(line) for line in kept.read_text().splitlines()]
-    # of a run that was cut short, the trials that are whole
-    whole = {r["trial"] for r in rows if r["change"] == CHANGES[-1]}
-    rows = [r for r in rows if r["trial"] in whole]
+    # of a run that was stopped, only the trials with all changes
+    complete = {r["trial"] for r in rows if r["change"] == CHANGES[-1]}
+    rows = [r for r in rows if r["trial"] in complete]
     before = {r["trial"]: r for r in rows if r["change"] == "as recorded"}
     cells = []
     for name in CHANGES:
-        found = [r for r in rows if r["change"] == name]
-        failed = [r for r in found if truth[r["trial"]]["outcome"] == "failure"]
-        outcome = sum(r["outcome"] == truth[r["trial"]]["outcome"] for r in found)
+        changed_rows = [r for r in rows if r["change"] == name]
+        failed = [r for r in changed_rows if truth[r["trial"]]["outcome"] == "failure"]
+        outcome = sum(r["outcome"] == truth[r["trial"]]["outcome"] for r in changed_rows)
         right = sum(r["failure_class"] == truth[r["trial"]]["failure_class"] for r in failed)
-        silent = sum(r["failure_class"] in ("unknown", None) for r in failed)
-        other = [r for r in failed if r["failure_class"] != before[r["trial"]]["failure_class"]]
+        unclassified = sum(r["failure_class"] in ("unknown", None) for r in failed)
+        reclassified = [
+            r for r in failed if r["failure_class"] != before[r["trial"]]["failure_class"]
+        ]
         moved = ", ".join(
             f"{r['trial']} {before[r['trial']]['failure_class']} to {r['failure_class']}"
-            for r in other
+            for r in reclassified
         )
         cells.append(
-            [name, f"{outcome}/{len(found)}", f"{right}/{len(failed)}", str(silent), moved or "–"]
+            [
+                name,
+                f"{outcome}/{len(changed_rows)}",
+                f"{right}/{len(failed)}",
+                str(unclassified),
+                moved or "–",
+            ]
         )
     head = ["recording", "outcome right", "class right", "no class", "other class than as recorded"]
     command = f"python -m benchmarks.robustness {' '.join(p.name for p in options.manifest)}"

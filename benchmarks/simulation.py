@@ -1,4 +1,7 @@
-"""Tables about simulated campaigns: success by speed beside the paper, shares of classes, seconds, stability of the class.
+"""Tables of a simulated campaign.
+
+Success by speed and object beside the paper's, shares of the failure classes, computing times, and
+how stable the class is.
 
 dgeval simulate conveyor --no-images --out runs/conveyor
 python -m benchmarks.simulation runs/conveyor/simulated.json [--stability N]
@@ -42,16 +45,21 @@ def rates(results: list[dict[str, Any]], paper: dict[str, Any], by: str) -> str:
         names.sort(key=int)
     rows = []
     for name in [*names, None]:
-        some = [r for r in results if name is None or group(r) == name]
-        k = sum(kind(r) == "success" for r in some)
-        low, high = wilson(k, len(some))
+        group_results = [r for r in results if name is None or group(r) == name]
+        k = sum(kind(r) == "success" for r in group_results)
+        low, high = wilson(k, len(group_results))
         printed = "–"
         if name is None:
             printed = f"{paper['printed']['overall']} %" if paper else "–"
         elif name in counts:
             printed = f"{100 * counts[name] / paper[each]:.0f} %"
         rows.append(
-            [name or "all", f"{k}/{len(some)}", f"{100 * low:.0f}–{100 * high:.0f} %", printed]
+            [
+                name or "all",
+                f"{k}/{len(group_results)}",
+                f"{100 * low:.0f}–{100 * high:.0f} %",
+                printed,
+            ]
         )
     return table(["belt mm/s" if by == "speed" else by, "succeeded", "95 % Wilson", "paper"], rows)
 
@@ -59,13 +67,13 @@ def rates(results: list[dict[str, Any]], paper: dict[str, Any], by: str) -> str:
 def shares(results: list[dict[str, Any]]) -> str:
     counts = Counter(kind(r) for r in results)
     failures = len(results) - counts["success"]
-    near = Counter(kind(r) for r in results if r["verdict"]["near_threshold"])
+    near_threshold = Counter(kind(r) for r in results if r["verdict"]["near_threshold"])
     rows = [
         [
             k,
             str(counts[k]),
             "–" if k == "success" else f"{100 * counts[k] / max(failures, 1):.0f} %",
-            str(near[k]),
+            str(near_threshold[k]),
         ]
         for k in KINDS
     ]
@@ -91,9 +99,11 @@ def seconds(results: list[dict[str, Any]]) -> str:
 
 
 def stability(results: list[dict[str, Any]], n: int, name: str) -> str:
-    """The class of the first n failures of each kind again, from starts different by ±1 mm, ±3 mm/s, ±10 ms, three times.
+    """Classes of re-runs of the first n failures of each class.
 
-    name: of the scenario that was simulated; what is recorded is whose trials it draws.
+    Each is simulated three times with its start changed by ±1 mm, ±3 mm/s, ±10 ms. name: of the
+    simulated scenario, as its file is named; the recorded name is that of the scenario whose plans
+    it uses.
     """
     from dgeval.simulation.blame import jittered
     from dgeval.simulation.campaign import Campaign, simulate
@@ -102,10 +112,10 @@ def stability(results: list[dict[str, Any]], n: int, name: str) -> str:
     from dgeval.worlds.objects import ten_objects
 
     rows = []
-    for wanted in KINDS[1:]:
-        some = [r for r in results if kind(r) == wanted][:n]
-        found: Counter[str] = Counter()
-        for r in some:
+    for failure_class in KINDS[1:]:
+        failures = [r for r in results if kind(r) == failure_class][:n]
+        classes: Counter[str] = Counter()
+        for r in failures:
             v = r["verdict"]
             scenario = load_scenario(name)
             campaign = Campaign(scenario, v["seed"], 1, Path("unused"))
@@ -113,8 +123,8 @@ def stability(results: list[dict[str, Any]], n: int, name: str) -> str:
             for k in range(3):
                 run, world = simulate(campaign, jittered(plan, k))
                 truth = prove(run, world, near=False)
-                found[truth.failure_class or "success"] += 1
-        rows.append([wanted, str(3 * len(some)), *(str(found[k]) for k in KINDS)])
+                classes[truth.failure_class or "success"] += 1
+        rows.append([failure_class, str(3 * len(failures)), *(str(classes[k]) for k in KINDS)])
     return table(["class", "re-runs", *KINDS], rows)
 
 
@@ -124,13 +134,13 @@ def main() -> None:
     verdict = results[0]["verdict"]
     name, grasps = verdict["scenario"], verdict.get("grasps", "analytic")
     paper = PUBLISHED.get(name, {})
-    stands = (
+    stand_in = (
         "an analytic sampler and score for FFHNet"
         if grasps == "analytic"
         else "nothing for FFHNet, whose weights are ours"
     )
     notes = (
-        f"Stood in: modelled perception for TransT-M and ICP in the loop, {stands}; "
+        f"Stood in: modelled perception for TransT-M and ICP in the loop, {stand_in}; "
         f"servo gains {verdict['gains']}; faults as in the scenario."
     )
     clean = [r for r in results if not r["verdict"]["faults_present"]]

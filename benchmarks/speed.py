@@ -1,7 +1,8 @@
 """Frames per second, time per stage and memory of `dgeval replay`, with bare decoding as the floor.
 
-The command line is run as its own process, so that times hold its start and memory is the process' peak. The long
-recording shows whether memory grows with length: the made one played forward and backward 20 times.
+Each command runs in a process of its own, so that its time includes the start, and its memory is
+the peak of the process. The long recording is the synthetic one played forward and backward 20
+times; it shows whether memory grows with length.
 
     python -m benchmarks.speed
 """
@@ -34,43 +35,43 @@ MIB = 1024.0  # ru_maxrss is in KiB on Linux
 
 @dataclass(frozen=True)
 class Run:
-    """One process: wall time s, peak resident memory MiB, exit code, the last line it printed."""
+    """One process: wall time s, peak resident memory MiB, exit code, last printed line."""
 
     seconds: float
     peak_mib: float
     code: int
-    said: str
+    last_line: str
 
 
-# A small process of its own starts the measured one: a child's peak memory counts its parent's from before exec.
+# A small process starts the measured one: a child's peak memory includes its parent's before exec.
 LAUNCH = """
 import os, subprocess, sys, time
 before = time.perf_counter()
 process = subprocess.Popen(sys.argv[1:], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-said = process.stdout.read().decode().strip().splitlines()
+lines = process.stdout.read().decode().strip().splitlines()
 _, status, usage = os.wait4(process.pid, 0)
 process.returncode = 0
-print(time.perf_counter() - before, usage.ru_maxrss, os.waitstatus_to_exitcode(status), *said[-1:])
+print(time.perf_counter() - before, usage.ru_maxrss, os.waitstatus_to_exitcode(status), *lines[-1:])
 """
 
 
 def run(arguments: list[str]) -> Run:
     """Run this Python with arguments."""
     command = [sys.executable, "-c", LAUNCH, sys.executable, *arguments]
-    words = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split(
+    fields = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split(
         maxsplit=3
     )
     scale = MIB if sys.platform != "darwin" else MIB * 1024
     return Run(
-        float(words[0]),
-        float(words[1]) / scale,
-        int(words[2]),
-        words[3].strip() if len(words) > 3 else "",
+        float(fields[0]),
+        float(fields[1]) / scale,
+        int(fields[2]),
+        fields[3].strip() if len(fields) > 3 else "",
     )
 
 
 def decode(path: Path) -> tuple[int, float]:
-    """Read and decode every frame of a recording's first trial, do nothing with it; their number and the seconds it took."""
+    """Decode every frame of a recording's first trial: (number of frames, seconds)."""
     trial = open_trial(find_trials([path])[0], Config())
     before = time.perf_counter()
     return sum(1 for _ in trial.frames()), time.perf_counter() - before
@@ -85,17 +86,17 @@ class Recording:
 
 
 def measured(recording: Recording, folder: Path) -> tuple[list[list[str]], list[str]]:
-    """Rows of frames, wall time, rate and memory per way of running; the stages' row of the last run."""
+    """Rows of frames, wall time, rate and memory per command; and the stages' row of the last."""
     n = result.number
     floor = run(["-m", "benchmarks.speed", "--decode", str(recording.path)])
     out = folder / "run"
     base = ["-m", "dgeval", "replay", str(recording.path), "--out", str(out), "--force"]
     base += ["--bbox", recording.box] if recording.box else []
-    ways = {"replay --no-review": [*base, "--no-review"]}
+    commands = {"replay --no-review": [*base, "--no-review"]}
     if recording.review:
-        ways["replay --review"] = [*base, "--review"]
+        commands["replay --review"] = [*base, "--review"]
     rows: list[list[str]] = []
-    decoded, decode_s = floor.said.split()
+    decoded, decode_s = floor.last_line.split()
     rows.append(
         [
             recording.name,
@@ -108,22 +109,22 @@ def measured(recording: Recording, folder: Path) -> tuple[list[list[str]], list[
         ]
     )
     per_frame = np.zeros(0)
-    for way, arguments in ways.items():
-        done = run(arguments)
-        if done.code not in (0, 3):
-            raise SystemExit(f"{recording.name}, {way}: exit code {done.code}")
+    for name, arguments in commands.items():
+        process = run(arguments)
+        if process.code not in (0, 3):
+            raise SystemExit(f"{recording.name}, {name}: exit code {process.code}")
         timings = pd.read_parquet(out / "timings.parquet")
         per_frame = timings.groupby(["trial", "frame"])["seconds"].sum().to_numpy()
-        rate, inside = len(per_frame) / done.seconds, len(per_frame) / per_frame.sum()
+        rate, stage_rate = len(per_frame) / process.seconds, len(per_frame) / per_frame.sum()
         rows.append(
             [
                 recording.name,
-                way,
+                name,
                 str(len(per_frame)),
-                n(done.seconds),
+                n(process.seconds),
                 n(rate),
-                n(inside),
-                _mib(done),
+                n(stage_rate),
+                _mib(process),
             ]
         )
     ms = timings.assign(ms=timings["seconds"] * 1e3).groupby("stage", sort=False)["ms"]
@@ -136,18 +137,18 @@ def measured(recording: Recording, folder: Path) -> tuple[list[list[str]], list[
     ]
 
 
-def _mib(done: Run) -> str:
-    return result.number(done.peak_mib, 0)
+def _mib(process: Run) -> str:
+    return result.number(process.peak_mib, 0)
 
 
 def recordings(folder: Path, frames: int, times: int) -> list[Recording]:
-    """The bundled demo, a made 640x480 recording, the same made longer, and the real one where it is at hand."""
+    """The demo, a synthetic 640x480 recording, the real one if available, and the long one."""
     out = [Recording("demo 320x240", DEMO, None)] if DEMO.exists() else []
-    made, long = folder / "made.mcap", folder / "made_long.mcap"
-    truth = synthetic.write(made, frames)
+    short, long = folder / "made.mcap", folder / "made_long.mcap"
+    truth = synthetic.write(short, frames)
     box = ",".join(f"{v:.0f}" for v in truth.boxes[0])
-    rebase(open_trial(TrialSpec("made", made), Config()), long, Motion("still"), times)
-    out.append(Recording("made 640x480", made, box))
+    rebase(open_trial(TrialSpec("made", short), Config()), long, Motion("still"), times)
+    out.append(Recording("made 640x480", short, box))
     data = os.environ.get("DGEVAL_REAL_DATA")
     if data and (Path(data) / KITCHEN).exists():
         out.append(Recording("kitchen mug 640x480 (real)", Path(data) / KITCHEN, KITCHEN_BOX))
@@ -179,11 +180,11 @@ def main() -> None:
         for recording in recordings(Path(name), args.frames, args.times):
             print(recording.name, file=sys.stderr)
             with tempfile.TemporaryDirectory(dir=name) as inner:
-                more, stages = measured(recording, Path(inner))
+                new_rows, stages = measured(recording, Path(inner))
                 names = list(
                     pd.read_parquet(Path(inner) / "run" / "timings.parquet")["stage"].unique()
                 )
-            rows += more
+            rows += new_rows
             stage_rows.append(stages)
     load = f"{before:.1f} before, {os.getloadavg()[0]:.1f} after, of which this is 1"
     head = (
@@ -196,8 +197,10 @@ def main() -> None:
         "peak memory, MiB",
     )
     parts = [
-        '## Rate and memory\n\nWall time of a process of its own, start included. "In the stages": the frames by the sum of '
-        "the stages' times (the decoding itself in the first rows), without start, scan, tables and review. Load of "
+        '## Rate and memory\n\nWall time of a process of its own, start included. "In the '
+        'stages": the frames by the sum of '
+        "the stages' times (the decoding itself in the first rows), without start, scan, tables "
+        "and review. Load of "
         f"the machine while measuring (1-minute average of {os.cpu_count()} cores): {load}.\n\n"
         + result.table(head, rows),
         "## Time per stage\n\nms, median / p95, from timings.parquet.\n\n"

@@ -1,6 +1,7 @@
-"""How still a still object is in a recording: its apparent motion from raw depth and recorded camera poses, no tracker.
+"""Apparent motion of a still object from raw depth and recorded camera poses, without a tracker.
 
-What comes out is the recording's own error (poses, intrinsics, lens, clocks), the floor under every velocity measured on it.
+It is the recording's own error (poses, intrinsics, lens, clocks) and so the lower bound of every
+velocity error that is measured on the recording.
 """
 
 from __future__ import annotations
@@ -10,22 +11,26 @@ from dgeval.geometry import Array, transform
 from dgeval.recording.trials import Trial
 from scipy.spatial import cKDTree
 
-ABOVE_M = 0.02  # m over the table, to count as the object's
-REACH_M = 0.01  # m, matches farther apart are not used
+ABOVE_M = 0.02  # m; points closer to the table plane are not the object's
+REACH_M = 0.01  # m; matches farther apart are not used
 
 
 def apparent_speed(trial: Trial, centre: Array, radius: float) -> tuple[float, float]:
-    """Of the points within `radius` m of `centre` (3,) m, base frame: speed mm/s of the straight line through their
-    places over time, and their largest distance from the middle frame's place, mm. Places by alignment in translation."""
+    """Apparent speed mm/s, and largest distance from the position in the middle frame, mm.
+
+    Of the points within `radius` m of `centre` (3,) m, base frame. A position is the translation
+    that aligns a frame's points with the middle frame's. The speed is the slope of a straight line
+    through the positions over time. NaN with fewer than three positions.
+    """
     clouds, times = [], []
     for frame in trial.frames():
         if frame.T_base_camera is None:
             continue
         v, u = np.nonzero(frame.depth)
-        seen = frame.camera.backproject(
+        points = frame.camera.backproject(
             u.astype(float), v.astype(float), frame.depth[v, u].astype(float)
         )
-        clouds.append(transform(frame.T_base_camera, seen))
+        clouds.append(transform(frame.T_base_camera, points))
         times.append(frame.t_ns * 1e-9)
     middle = len(clouds) // 2
     normal, offset = _table(clouds[middle], centre)
@@ -35,18 +40,18 @@ def apparent_speed(trial: Trial, centre: Array, radius: float) -> tuple[float, f
         height = near @ normal - offset
         objects.append(near[np.abs(height) > ABOVE_M])
     tree = cKDTree(objects[middle])
-    places = np.array([_shift(points, objects[middle], tree) for points in objects])
-    good = np.isfinite(places[:, 0])
+    positions = np.array([_shift(points, objects[middle], tree) for points in objects])
+    good = np.isfinite(positions[:, 0])
     if good.sum() < 3:
         return float("nan"), float("nan")
-    slope = np.polyfit(np.array(times)[good] - times[0], places[good], 1)[0]
+    slope = np.polyfit(np.array(times)[good] - times[0], positions[good], 1)[0]
     return float(np.linalg.norm(slope) * 1e3), float(
-        np.linalg.norm(places[good], axis=1).max() * 1e3
+        np.linalg.norm(positions[good], axis=1).max() * 1e3
     )
 
 
 def _table(cloud: Array, centre: Array) -> tuple[Array, float]:
-    """The plane around the object: n·p = offset, by seeded hypotheses and one refinement."""
+    """Plane n·p = offset around the object: RANSAC with a fixed seed and one least-squares fit."""
     near = cloud[np.linalg.norm(cloud - centre, axis=1) < 0.25]
     rng = np.random.default_rng(0)
     best, inliers = 0, near[:3]
@@ -65,13 +70,13 @@ def _table(cloud: Array, centre: Array) -> tuple[Array, float]:
 
 
 def _shift(points: Array, reference: Array, tree: cKDTree) -> Array:
-    """Place (3,) m of the points relative to the reference's."""
+    """Translation (3,) m of the points against the reference (ICP); NaN where they don't match."""
     if len(points) < 50:
         return np.full(3, np.nan)
     shift = np.zeros(3)
     for _ in range(60):
-        found = tree.query(points + shift)
-        distance, index = np.asarray(found[0]), np.asarray(found[1])
+        matches = tree.query(points + shift)
+        distance, index = np.asarray(matches[0]), np.asarray(matches[1])
         used = distance < REACH_M
         if not used.any():
             return np.full(3, np.nan)

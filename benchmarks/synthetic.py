@@ -1,4 +1,6 @@
-"""A made recording with exact truth: a printed box on a table under a moving camera, 640x480, 30 Hz, noisy depth.
+"""A synthetic recording with exact truth.
+
+A printed box on a table under a moving camera, 640x480, 30 Hz, noisy depth.
 
 python -m benchmarks.synthetic OUT.mcap --frames 99 --speed 0.1
 """
@@ -31,7 +33,7 @@ HALF = (0.08, 0.05, 0.035)  # m, a 16 x 10 x 7 cm box
 
 @dataclass(frozen=True)
 class Truth:
-    """Per frame: T_world_camera, T_world_object, the box x0 y0 x1 y1 px of the object's visible pixels."""
+    """Per frame: T_world_camera, T_world_object, and the box x0 y0 x1 y1 px of visible pixels."""
 
     T_world_camera: list[Array]
     T_world_object: list[Array]
@@ -39,7 +41,7 @@ class Truth:
 
 
 def look_at(eye: Array, at: Array, roll: float) -> Array:
-    """T_world_camera of an optical frame at `eye` that looks at `at`, turned by roll rad about its axis."""
+    """T_world_camera of a camera at `eye` that looks at `at`, (3,) m; roll rad about its axis."""
     z = (at - eye) / np.linalg.norm(at - eye)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
@@ -53,7 +55,7 @@ def look_at(eye: Array, at: Array, roll: float) -> Array:
 
 
 def camera_pose(t: float, phase: Array, distance: float) -> Array:
-    """A hand-held path around the table's origin: about 0.3 m/s and 0.4 rad/s at its fastest."""
+    """T_world_camera at t s on a path round the origin, at most about 0.3 m/s and 0.4 rad/s."""
     azimuth = 0.3 + 0.5 * np.sin(0.8 * t + phase[0])
     elevation = 0.75 + 0.15 * np.sin(1.1 * t + phase[1])
     d = distance + 0.12 * np.sin(0.9 * t + phase[2])
@@ -71,7 +73,11 @@ def camera_pose(t: float, phase: Array, distance: float) -> Array:
 def write(
     out: Path, n: int = 99, speed: float = 0.0, seed: int = 1, distance: float = 0.75
 ) -> Truth:
-    """Write the recording. With a speed m/s the box slides over the table along y, stop and go (benchmarks.motion)."""
+    """Write the recording of n frames; returns its truth.
+
+    speed: m/s, at which the box slides along y, stop and go (benchmarks.motion). distance: m, of
+    the camera from the origin.
+    """
     rng = np.random.default_rng(seed)
     table = speckle(rng, (150, 115, 80), 25)
     box = Box(HALF, [printed(rng, (170, 80, 60)) for _ in range(6)])
@@ -121,7 +127,8 @@ def main() -> None:
     args = parser.parse_args()
     truth = write(args.out, args.frames, args.speed, args.seed)
     print(
-        f"{args.out}: {args.frames} frames; box in the first: {','.join(f'{v:.0f}' for v in truth.boxes[0])}"
+        f"{args.out}: {args.frames} frames; box in the first: "
+        f"{','.join(f'{v:.0f}' for v in truth.boxes[0])}"
     )
 
 

@@ -1,4 +1,4 @@
-"""Replay of simulated recordings against their ground truth: pose and velocity error by object and speed.
+"""Errors of pose and velocity in replays of simulated recordings, by object and speed.
 
 python -m benchmarks.truth RUN MANIFEST      (a run made by `dgeval replay MANIFEST --out RUN`)
 """
@@ -30,19 +30,21 @@ BINS = np.array([-2.0, -1.5, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 1.5])  # s 
 
 
 def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
-    """One row per frame with a pose: t_s, accepted, position_m, angle_deg, velocity_m_s; t_sight_s and t_close_s of the trial.
+    """Errors of one trial, a row per frame with a pose.
 
-    hindsight_m and `by`: the same for the pose that the second pass has in that frame, where it has one.
+    t_s: since the first truth. accepted: the registration. position_m, angle_deg, velocity_m_s:
+    errors of the causal pass. hindsight_m, by: position error and source of the second pass, null
+    where it has no pose. t_close_s: of the close. t_sight_s: when the simulated camera first lost
+    the object for 0.25 s (no belief mask), at the latest the close.
 
-    The model's frame is arbitrary: its pose on the object is taken from the first frame that has one. t_sight_s: when the
-    simulated camera first lost the object for a quarter of a second (no belief mask), at the latest the close.
+    The model frame is arbitrary: T_model_object is taken from the first frame with a pose.
     """
     trial = open_trial(spec, load_config())
     truth: dict[int, Any] = {}
     masks: list[int] = []
     verdict: dict[str, Any] = {}
-    wanted = frozenset({"/truth/object_pose", "/truth/verdict", "/dgeval/belief/mask"})
-    for message in trial.opened.messages(wanted):
+    topics = frozenset({"/truth/object_pose", "/truth/verdict", "/dgeval/belief/mask"})
+    for message in trial.opened.messages(topics):
         if message.topic == "/dgeval/belief/mask":
             masks.append(message.log_ns)
             continue
@@ -53,14 +55,14 @@ def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
             truth[message.log_ns] = matrix_from_pose(poses_of(value)[0].pose)
     assert spec.start_ns is None or spec.start_ns >= 0
     start = min(truth)
-    close = (
+    close_s = (
         verdict["t_close_s"] if verdict["t_close_s"] is not None else (max(truth) - start) * 1e-9
     )
     gaps = [a for a, b in pairwise(masks) if b - a > 250_000_000] or masks[-1:] or [start]
-    sight = min((gaps[0] - start) * 1e-9, close)
+    sight_s = min((gaps[0] - start) * 1e-9, close_s)
     frames = pd.read_parquet(run / "frames" / f"{file_name(spec.id)}.parquet")
-    looked = run / "hindsight" / f"{file_name(spec.id)}.parquet"
-    again = pd.read_parquet(looked).set_index("frame") if looked.is_file() else pd.DataFrame()
+    path = run / "hindsight" / f"{file_name(spec.id)}.parquet"
+    hindsight = pd.read_parquet(path).set_index("frame") if path.is_file() else pd.DataFrame()
     rows, T_model_object = [], None
     times = sorted(truth)
     for _, row in frames[frames["model_px"].notna()].iterrows():
@@ -73,11 +75,11 @@ def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
         if T_model_object is None:
             T_model_object = invert(T_base_model) @ truth[t_ns]
         T, T_true = T_base_model @ T_model_object, truth[t_ns]
-        late, by = np.nan, None
-        if row["frame"] in again.index:
-            there = again.loc[row["frame"]]
-            T_late = matrix_from_pose(there[OBJECT].to_numpy(dtype=float)) @ T_model_object
-            late, by = float(np.linalg.norm(T_late[:3, 3] - T_true[:3, 3])), there["by"]
+        hindsight_m, by = np.nan, None
+        if row["frame"] in hindsight.index:
+            entry = hindsight.loc[row["frame"]]
+            T_hindsight = matrix_from_pose(entry[OBJECT].to_numpy(dtype=float)) @ T_model_object
+            hindsight_m, by = float(np.linalg.norm(T_hindsight[:3, 3] - T_true[:3, 3])), entry["by"]
         moved = truth[times[k + 5]][:3, 3] - truth[times[k - 5]][:3, 3]
         v_true = moved / ((times[k + 5] - times[k - 5]) * 1e-9)
         v = row[["velocity_x", "velocity_y", "velocity_z"]].to_numpy(dtype=float)
@@ -88,13 +90,13 @@ def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
                 "position_m": float(np.linalg.norm(T[:3, 3] - T_true[:3, 3])),
                 "angle_deg": float(np.degrees(rotation_angle(T[:3, :3].T @ T_true[:3, :3]))),
                 "velocity_m_s": float(np.linalg.norm(v - v_true)),
-                "hindsight_m": late,
+                "hindsight_m": hindsight_m,
                 "by": by,
             }
         )
     columns = ["t_s", "accepted", "position_m", "angle_deg", "velocity_m_s", "hindsight_m", "by"]
     out = pd.DataFrame(rows, columns=columns)
-    return out.assign(t_sight_s=sight, t_close_s=close)
+    return out.assign(t_sight_s=sight_s, t_close_s=close_s)
 
 
 def main() -> None:
@@ -102,15 +104,17 @@ def main() -> None:
     rows, closes = [], []
     done = set(pd.read_parquet(run / "trials.parquet")["trial"])
     for spec in [s for s in find_trials([manifest]) if s.id in done]:
-        found = errors_against_truth(spec, run)
-        closes.append(found.assign(trial=spec.id))
-        seen = found[found["accepted"] & (found["t_s"] > 1.0) & (found["t_s"] < found["t_sight_s"])]
+        errors = errors_against_truth(spec, run)
+        closes.append(errors.assign(trial=spec.id))
+        in_sight = errors[
+            errors["accepted"] & (errors["t_s"] > 1.0) & (errors["t_s"] < errors["t_sight_s"])
+        ]
         rows.append(
             {
                 "object": spec.object,
                 "speed": spec.speed,
-                "n": len(seen),
-                **seen.median(numeric_only=True).to_dict(),
+                "n": len(in_sight),
+                **in_sight.median(numeric_only=True).to_dict(),
             }
         )
     everything = pd.DataFrame(rows)
@@ -150,7 +154,7 @@ def main() -> None:
 
 
 def through_the_close(frames: pd.DataFrame, run: Path) -> list[str]:
-    """Table of the causal pass against hindsight around the close, and the same as a plot in results/gap.svg."""
+    """Table of the causal pass and of hindsight around the close; plotted in results/gap.svg."""
     trials = pd.read_parquet(run / "trials.parquet").set_index("trial")
     closed = frames[frames["trial"].map(trials["t_close_ns"].notna())]
     since = closed["t_s"] - closed["t_close_s"]
@@ -158,8 +162,8 @@ def through_the_close(frames: pd.DataFrame, run: Path) -> list[str]:
     for a, b in pairwise(BINS):
         part = closed[(since >= a) & (since < b)]
         both = [part["position_m"] * 1e3, part["hindsight_m"] * 1e3]
-        seen = f"{part['accepted'].mean():.0%}" if len(part) else "–"
-        cells.append([f"{a:+.2f} to {b:+.2f}", str(len(part)), seen])
+        registered = f"{part['accepted'].mean():.0%}" if len(part) else "–"
+        cells.append([f"{a:+.2f} to {b:+.2f}", str(len(part)), registered])
         quantiles = [
             float(v.quantile(q)) if v.notna().any() else np.nan for v in both for q in (0.5, 0.9)
         ]
@@ -171,8 +175,9 @@ def through_the_close(frames: pd.DataFrame, run: Path) -> list[str]:
     axis = figure.subplots()
     t, causal, causal90, hindsight, hindsight90 = np.array(drawn).T
     for name, colour, middle, high in (
-        ("causal pass", "#d95f02", causal, causal90), ("hindsight", "#1f77b4", hindsight, hindsight90),
-    ):  # fmt: skip
+        ("causal pass", "#d95f02", causal, causal90),
+        ("hindsight", "#1f77b4", hindsight, hindsight90),
+    ):
         axis.plot(t, middle, color=colour, label=f"{name}, median")
         axis.plot(t, high, color=colour, ls=":", label=f"{name}, 90 %")
     axis.set_yscale("log")
@@ -185,8 +190,9 @@ def through_the_close(frames: pd.DataFrame, run: Path) -> list[str]:
         figure.savefig(RESULTS / "gap.svg", metadata={"Date": None})
     head = ["s from the close", "frames", "registered", "causal mm", "90 %", "hindsight mm", "90 %"]
     return [
-        f"Through the close of {len(gaps)} trials, against where the object really was (gap sided {sided}; the median gap is "
-        f"{gaps['gap_s'].median():.2f} s, the longest {gaps['gap_s'].max():.2f} s). Plot: gap.svg.",
+        f"Through the close of {len(gaps)} trials, against where the object really was (gap sided "
+        f"{sided}; the median gap is {gaps['gap_s'].median():.2f} s, the longest "
+        f"{gaps['gap_s'].max():.2f} s). Plot: gap.svg.",
         table(head, cells),
     ]
 

@@ -25,8 +25,6 @@ from dgeval.determinism import generator, limit_threads
 from dgeval.failure_rule import CLASSES, HANDED_OVER, Thresholds, Unknown
 from dgeval.geometry import Array, increment, invert
 from dgeval.hindsight.second_pass import blind_gap
-from dgeval.robots.dlr_hit_hand import ACTUATED
-from dgeval.robots.hand import JAW
 from dgeval.simulation.blame import blame
 from dgeval.simulation.campaign import Campaign, grasps_of, plan_of, simulate, world_of
 from dgeval.simulation.perception import ModelledPerception
@@ -48,7 +46,7 @@ from dgeval.verdict.beliefs import (
 from dgeval.verdict.decide import blame_of, undecided
 from dgeval.verdict.draws import decide_scene
 from dgeval.verdict.evidence import APPROACH_S, CLOSING, PERIOD_NS, HandMotion, Scene, of_hand
-from dgeval.verdict.outcome import LAST_S, between_jaws, grip
+from dgeval.verdict.outcome import LAST_S
 from dgeval.worlds.closing import CONTROL_S
 from dgeval.worlds.objects import surface_points
 
@@ -261,18 +259,17 @@ def outcome(run: Run, world: World, seed: int) -> str:
     """What the fingers' efforts, or the gap between the jaws, say, as the recording would hold them: success, failure."""
     if run.close is None:
         return "failure"
-    jaws = world.gripper is JAW
-    names = JAW.joints if jaws else [n for n in ACTUATED if not n.endswith("_0")]
-    at = np.array(
-        [world.model.joint(n).qposadr[0] if jaws else world.model.joint(n).dofadr[0] for n in names]
-    )
+    grip = world.gripper.grip
+    position = grip.signal == "position"
+    joints = [world.model.joint(n) for n in grip.joints]
+    at = np.array([(j.qposadr if position else j.dofadr)[0] for j in joints])
     rng = generator(seed, "efforts", run.plan.index)
     rows = []
     for tick in run.ticks[-round(LAST_S / CONTROL_S) :]:
         world.restore(tick.snapshot)
-        noise = rng.normal(0, JOINT_NOISE if jaws else EFFORT_NOISE, len(at))
-        rows.append((world.data.qpos if jaws else world.data.qfrc_actuator)[at] + noise)
-    return "success" if (between_jaws if jaws else grip)(np.array(rows))[0] else "failure"
+        noise = rng.normal(0, JOINT_NOISE if position else EFFORT_NOISE, len(at))
+        rows.append((world.data.qpos if position else world.data.qfrc_actuator)[at] + noise)
+    return "success" if grip.holds(np.array(rows))[0] else "failure"
 
 
 def causal_guess(run: Run, world: World) -> str:

@@ -1,8 +1,11 @@
-"""VFAS-Grasp's tables redone in simulation: static before and after refinement, turntable with and without adaptive sampling,
-handover; Wilson intervals, exact McNemar for the paired ones.
+"""VFAS-Grasp's tables in simulation, with Wilson intervals and exact McNemar tests.
 
-`python -m benchmarks.vfas [--jobs 2] [--seed 0] [--only static,turntable,handover]`. Outcomes of finished trials are kept in
-OUT (default runs/vfas) and not made again. The causes of failures: `dgeval simulate table-clearing` and so on.
+Static objects before and after refinement, turntable with and without adaptive sampling, handover.
+
+`python -m benchmarks.vfas [--jobs 2] [--seed 0] [--only static,turntable,handover]`
+
+Outcomes of finished trials are kept in OUT (default runs/vfas) and not simulated again. The causes
+of failures come from `dgeval simulate table-clearing` and so on.
 """
 
 from __future__ import annotations
@@ -49,8 +52,9 @@ PAPER = {
 
 ENDS = ("held", "lost", "never closed", "no seed in reach")
 STAND_INS = (
-    "Seeds are known grasps with a drawn error (15 mm and 6 degrees on each axis, 1 sigma) in place of Contact-GraspNet's; DIS "
-    "stands in for GMFlow; the evaluator is dgeval's own; fingers slide. Intervals: Wilson, 95 %."
+    "Seeds are known grasps with a drawn error (15 mm and 6 degrees on each axis, 1 sigma) in "
+    "place of Contact-GraspNet's; DIS stands in for GMFlow; the evaluator is dgeval's own; fingers "
+    "slide. Intervals: Wilson, 95 %."
 )
 
 
@@ -64,16 +68,19 @@ def scenario_of(name: str, changes: dict[str, Any]) -> Scenario:
 
 
 def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
-    """One trial: held or how it ended, and the median jump of the selected grasp while it was approached."""
+    """Simulate one trial, or read its kept result.
+
+    ended: one of ENDS. jump_mm, jump_deg: median jump of the selected grasp during the approach.
+    """
     limit_threads()
     scenario = scenario_of(*ARMS[arm])
     campaign = Campaign(scenario, seed, 1, out)
     plan = plan_of(campaign, index)
     path = out / arm.replace(", ", "-").replace(" ", "-") / f"{plan.id}.json"
     if path.is_file():
-        found: dict[str, Any] = json.loads(path.read_text())
-        if found["sources"] == source_digest():
-            return found
+        kept: dict[str, Any] = json.loads(path.read_text())
+        if kept["sources"] == source_digest():
+            return kept
     run, _ = simulate(campaign, plan)
     held = run.finish is not None and run.finish.success
     ended = (
@@ -102,13 +109,13 @@ def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
 
 
 def seed_pairs(run: Run) -> list[tuple[Array, Array]]:
-    """The seed, T_base_grasp, of each iteration and of the one before it."""
+    """(T_base_grasp of an iteration, of the next one) for each iteration with a new seed."""
     poses = [run.ticks[f.tick].T_base_grasp for f in run.frames if f.tick < len(run.ticks)]
     return [(a, b) for a, b in pairwise(poses) if a is not None and b is not None and b is not a]
 
 
 def jumps(pairs: Sequence[tuple[Array, Array]]) -> tuple[float | None, float | None]:
-    """Median distance, mm, and angle, degrees, between successive poses; None where there are none."""
+    """Median distance, mm, and angle, degrees, between the poses of each pair; None if no pair."""
     if not pairs:
         return None, None
     metres = [np.linalg.norm(b[:3, 3] - a[:3, 3]) for a, b in pairs]
@@ -125,18 +132,22 @@ def by(results: dict[str, list[dict[str, Any]]], key: str) -> str:
     """Success of each arm by a column of the results."""
     values = sorted({r[key] for rows in results.values() for r in rows})
     rows = []
-    for arm, found in results.items():
+    for arm, arm_results in results.items():
         cells = []
         for value in [*values, None]:
-            of = [r for r in found if value is None or r[key] == value]
-            cells.append(share(sum(r["ended"] == "held" for r in of), len(of)) if of else "–")
+            selected = [r for r in arm_results if value is None or r[key] == value]
+            cells.append(
+                share(sum(r["ended"] == "held" for r in selected), len(selected))
+                if selected
+                else "–"
+            )
         paper = PAPER[arm]
         rows.append([arm, *cells, f"{paper[0]}/{paper[1]} = {100 * paper[0] / paper[1]:.0f} %"])
     return table(["", *[str(v) for v in values], "all", "paper"], rows)
 
 
 def middle(results: list[dict[str, Any]], key: str) -> str:
-    """Median over trials that have one."""
+    """Median of a column over the trials that have a value, as text."""
     values = [r[key] for r in results if r[key] is not None]
     return number(float(np.median(values)), 2) if values else "–"
 
@@ -144,7 +155,10 @@ def middle(results: list[dict[str, Any]], key: str) -> str:
 def paired(results: dict[str, list[dict[str, Any]]], before: str, after: str) -> str:
     old, new = ([r["ended"] == "held" for r in results[arm]] for arm in (before, after))
     worse, better, p = mcnemar(old, new)
-    return f"{before} → {after}, the same {len(old)} trials: {better} won, {worse} lost, exact McNemar p = {p:.2g}."
+    return (
+        f"{before} → {after}, the same {len(old)} trials: {better} won, {worse} lost, exact "
+        f"McNemar p = {p:.2g}."
+    )
 
 
 def main() -> None:
@@ -166,22 +180,22 @@ def main() -> None:
             ]
             for arm in arms
         }
-        results = {arm: [w.result() for w in of] for arm, of in waiting.items()}
+        results = {arm: [w.result() for w in results_of] for arm, results_of in waiting.items()}
     for kind in options.only.split(","):
-        of = {arm: rows for arm, rows in results.items() if arm.split(",")[0] == kind}
-        parts = [STAND_INS, by(of, "object")]
+        results_of = {arm: rows for arm, rows in results.items() if arm.split(",")[0] == kind}
+        parts = [STAND_INS, by(results_of, "object")]
         if kind == "turntable":
-            parts.append("By nominal speed, mm/s:\n\n" + by(of, "group"))
-        if len(of) == 2:
-            parts.append(paired(of, *of))
+            parts.append("By nominal speed, mm/s:\n\n" + by(results_of, "group"))
+        if len(results_of) == 2:
+            parts.append(paired(results_of, *results_of))
         rows = [
             [
                 arm,
-                *[str(sum(r["ended"] == e for r in found)) for e in ENDS],
-                middle(found, "jump_mm"),
-                middle(found, "jump_deg"),
+                *[str(sum(r["ended"] == e for r in arm_results)) for e in ENDS],
+                middle(arm_results, "jump_mm"),
+                middle(arm_results, "jump_deg"),
             ]
-            for arm, found in of.items()
+            for arm, arm_results in results_of.items()
         ]
         parts += [
             "How they ended, and the median jump of the seed:",

@@ -1,4 +1,7 @@
-"""VFAS-Grasp's parts alone: evaluator on unseen objects, spread against true robustness, time, jumps with each part left out.
+"""Parts of VFAS-Grasp alone.
+
+The evaluator on unseen objects, its spread against true robustness, its time, and the jumps of the
+seed with each part left out.
 
 `python -m benchmarks.vfas_parts [--seeds 6] [--trials 4]`
 """
@@ -35,8 +38,8 @@ from scipy.stats import spearmanr  # noqa: E402
 from benchmarks.result import number, table, write  # noqa: E402
 from benchmarks.vfas import jumps, scenario_of, seed_pairs  # noqa: E402
 
-UNSEEN = range(63, 72)  # procedural objects that trained nothing
-REPETITIONS = 8
+UNSEEN = range(63, 72)  # procedural objects that no network was trained on
+REPETITIONS = 8  # tries of each grasp in physics
 WITHOUT: dict[str, dict[str, Any]] = {
     "as shipped": {},
     "no penalty": {"k1": 0.0, "k2": 0.0},
@@ -47,34 +50,39 @@ WITHOUT: dict[str, dict[str, Any]] = {
 
 
 def quality_by_set(seeds: int) -> str:
+    """Table of the evaluator's quality on each set of objects."""
     rows = []
     network = evaluator_of(None)
     sets = {
         "nine procedural objects that trained nothing": [procedural_object(i, 0) for i in UNSEEN],
         "the paper's eight": list(eight_objects().values()),
     }
-    for name, things in sets.items():
-        scenes = [s for t in things for s in scenes_of(t, procedural_object(1003, 0), 7, seeds)]
-        found = measure(network, scenes, 1500, 1)
+    for name, models in sets.items():
+        scenes = [s for t in models for s in scenes_of(t, procedural_object(1003, 0), 7, seeds)]
+        scores = measure(network, scenes, 1500, 1)
         poses = str(sum(len(s.held) for s in scenes))
-        rows.append([name, poses, *(number(found[k], 3) for k in ("held", "auc", "brier", "ece"))])
+        rows.append([name, poses, *(number(scores[k], 3) for k in ("held", "auc", "brier", "ece"))])
     return table(["", "poses", "held", "ROC-AUC", "Brier", "ECE"], rows)
 
 
 def spread_against_robustness(per_object: int) -> str:
-    """Of free grasps of unseen objects: spread over noisy clouds, and the share of slightly moved repetitions that hold."""
+    """Text on free grasps of unseen objects: spread of the score against robustness.
+
+    spread: of the score over noisy clouds. robustness: share of slightly moved repetitions that
+    hold.
+    """
     config = load_scenario("table-clearing").pipeline.vfas
     judge = GraspJudge(evaluator_of(None), config)
     spread, quality, robust = [], [], []
     for index in UNSEEN:
-        thing = procedural_object(index, 0)
-        world = FlyingJaw(thing, procedural_object(index + 1000, 0), CAMERAS)
-        surface = surface_points(thing, 6000, generator(7, "surface", index))
-        T_base_object = at(0.5, 0, thing.rest_height())
+        model = procedural_object(index, 0)
+        world = FlyingJaw(model, procedural_object(index + 1000, 0), CAMERAS)
+        surface = surface_points(model, 6000, generator(7, "surface", index))
+        T_base_object = at(0.5, 0, model.rest_height())
         with Eyes(world, (CAMERAS[0], CAMERAS[1]), D405, 7, 0) as eyes:
             tried = 0
             for k in range(400):
-                rng = generator(7, f"robust/{thing.name}", k)
+                rng = generator(7, f"robust/{model.name}", k)
                 T_object_seed = seed_pose(surface, rng)
                 if tried == per_object or T_object_seed is None:
                     continue
@@ -106,17 +114,19 @@ def spread_against_robustness(per_object: int) -> str:
                 quality.append(float(noisy.mean()))
                 robust.append(held / REPETITIONS)
     s, q, r = np.array(spread), np.array(quality), np.array(robust)
-    certain = np.abs(r - 0.5) > 0.4  # all or nearly all, none or nearly none
+    certain = np.abs(r - 0.5) > 0.4  # nearly all repetitions hold, or nearly none
     lines = [
-        f"{len(r)} free grasps of the nine, each tried {REPETITIONS} times 4 mm and 3 degrees off (1 sigma); robustness is "
-        f"the share that held. Spearman's correlation of quality with it {spearmanr(q, r)[0]:.2f}; of the spread with "
-        f"how undecided it is (1 - |2 r - 1|) {spearmanr(s, 1 - np.abs(2 * r - 1))[0]:.2f}. "
-        f"Mean spread where all or none hold {s[certain].mean():.2f}, in between {s[~certain].mean():.2f}."
+        f"{len(r)} free grasps of the nine, each tried {REPETITIONS} times 4 mm and 3 degrees off "
+        "(1 sigma); robustness is the share that held. Spearman's correlation of quality with it "
+        f"{spearmanr(q, r)[0]:.2f}; of the spread with how undecided it is (1 - |2 r - 1|) "
+        f"{spearmanr(s, 1 - np.abs(2 * r - 1))[0]:.2f}. Mean spread where all or none hold "
+        f"{s[certain].mean():.2f}, in between {s[~certain].mean():.2f}."
     ]
     return "\n".join(lines)
 
 
 def times() -> str:
+    """Table of the evaluator's time per batch of grasps."""
     rows = []
     rng = np.random.default_rng(0)
     for name, sizes, n in (
@@ -130,28 +140,28 @@ def times() -> str:
         )
         gripper = torch.from_numpy(link_points(sizes.gripper, rng).astype(np.float32))[None]
         network.success(scene, gripper)
-        taken = []
+        seconds = []
         for _ in range(9):
             start = time.perf_counter()
             network.success(scene, gripper)
-            taken.append(time.perf_counter() - start)
-        what = {104: "64 + 8 x 5 (`top8`)", 320: "64 x 5 (`all`)", 32: "32"}[n]
+            seconds.append(time.perf_counter() - start)
+        batch = {104: "64 + 8 x 5 (`top8`)", 320: "64 x 5 (`all`)", 32: "32"}[n]
         rows.append(
             [
                 name,
-                what,
-                number(1e3 * float(np.median(taken)), 0),
-                number(1 / float(np.median(taken)), 1),
+                batch,
+                number(1e3 * float(np.median(seconds)), 0),
+                number(1 / float(np.median(seconds)), 1),
             ]
         )
     return table(["network", "grasps", "ms, one core", "per second"], rows)
 
 
 def left_out(trials: int) -> str:
-    """Jump of the seed per iteration in closed loop, table and turntable, and what became of the trials."""
+    """Table of the seed's jump per iteration in closed loop, and of the trials that held."""
     rows = []
     for name in ("table-clearing", "turntable"):
-        for what, changes in WITHOUT.items():
+        for variant, changes in WITHOUT.items():
             changed = scenario_of(name, changes)
             held, metres, degrees = 0, [], []
             for k in range(trials):
@@ -163,13 +173,15 @@ def left_out(trials: int) -> str:
                 each = [jumps([pair]) for pair in seed_pairs(run)]
                 metres += [m for m, _ in each if m is not None]
                 degrees += [d for _, d in each if d is not None]
-            of = [
+            quantiles = [
                 np.median(metres),
                 np.quantile(metres, 0.95),
                 np.median(degrees),
                 np.quantile(degrees, 0.95),
             ]
-            rows.append([name, what, *(number(float(v), 2) for v in of), f"{held}/{trials}"])
+            rows.append(
+                [name, variant, *(number(float(v), 2) for v in quantiles), f"{held}/{trials}"]
+            )
             print(rows[-1], flush=True)
     return table(["", "", "jump mm", "95 %", "jump deg", "95 %", "held"], rows)
 
@@ -186,7 +198,8 @@ def main() -> None:
     limit_threads()
     parts = [
         "## Evaluator",
-        "Random poses round seeds, labels from physics, clouds of exact depth with the training's noise.",
+        "Random poses round seeds, labels from physics, clouds of exact depth with the training's "
+        "noise.",
         quality_by_set(options.seeds),
         "## Spread and robustness",
         spread_against_robustness(4 * options.seeds),

@@ -1,7 +1,8 @@
-"""Make the bundled demo recording: a box on a belt under a wrist camera, a three-fingered hand that follows and lifts it.
+"""Make the bundled demo recording: a three-fingered hand follows a box on a belt and lifts it.
 
-Nothing here is physics: hand and object move on prescribed paths, so that every pose is known exactly. The camera's pose
-is not in tf but follows from joint states and the robot description, as on most robots.
+There is no physics in it: hand and object move on prescribed paths, so that every pose is known
+exactly. The camera is on the wrist. Its pose is not in tf; it follows from joint states and robot
+description, as on most robots.
 
     python datasets/make_demo.py datasets/demo.mcap
 """
@@ -31,21 +32,22 @@ from dgeval.recording.write import (
 from raycast import Box, Capsule, Scene, add_noise, printed, render, speckle
 
 START_NS = 1_780_000_000_000_000_000
-RATE = 15.0
-DURATION = 4.6
-T_CLOSE, T_LIFT = 3.2, 3.6
-BELT_SPEED = 0.08
-HALF = (0.045, 0.028, 0.035)
+RATE = 15.0  # Hz, of the images
+DURATION = 4.6  # s
+T_CLOSE, T_LIFT = 3.2, 3.6  # s
+BELT_SPEED = 0.08  # m/s, along base y
+HALF = (0.045, 0.028, 0.035)  # m, half lengths of the box
 CAMERA = Intrinsics(320, 240, 290.0, 290.0, 160.0, 120.0)
 CAMERA_FRAME = "camera_color_optical_frame"
-MINIMUM_RANGE = 0.17
+MINIMUM_RANGE = 0.17  # m; nearer depth is not measured
 DEPTH_TOPIC = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
+# Base of each finger in the hand frame: x m, y m, yaw rad
 FINGERS = {
     "thumb": (0.05, 0.0, np.pi),
     "index": (-0.05, 0.022, 0.0),
     "middle": (-0.05, -0.022, 0.0),
 }
-PROXIMAL, DISTAL, RADIUS = 0.055, 0.045, 0.009
+PROXIMAL, DISTAL, RADIUS = 0.055, 0.045, 0.009  # m, lengths of the links and their radius
 
 
 def translation(x: float, y: float, z: float) -> Array:
@@ -64,7 +66,10 @@ T_HAND_CAMERA = translation(0.0, -0.085, -0.02) @ rotation(-0.30, 0, 0)
 
 
 def urdf() -> str:
-    """A gantry x y z with a turning wrist, a palm, and three fingers of two links; cylinders with round ends."""
+    """The robot description: a gantry x y z, a wrist, a palm, and three fingers of two links.
+
+    The links of the fingers are cylinders with round ends.
+    """
 
     def link(
         name: str, length: float | None = None, box: tuple[float, float, float] | None = None
@@ -141,7 +146,7 @@ def urdf() -> str:
 
 
 def smooth(t: float, a: float, b: float) -> float:
-    """0 before a, 1 after b, without jerk at either end."""
+    """0 before a, 1 after b; velocity and acceleration are zero at both ends."""
     s = float(np.clip((t - a) / (b - a), 0, 1))
     return s**3 * (10 - 15 * s + 6 * s * s)
 
@@ -152,14 +157,17 @@ def belt_object(t: float) -> Array:
 
 
 def joints(t: float) -> dict[str, float]:
-    """All joint positions at a time: the gantry follows the belt and comes down, the fingers close, the hand lifts."""
-    ride = belt_object(min(t, T_CLOSE + 0.25))
-    away = 1 - smooth(t, 0.3, 2.9)
+    """Joint positions at t s, m and rad.
+
+    The gantry follows the belt and comes down, the fingers close, the hand lifts.
+    """
+    T_base_object = belt_object(min(t, T_CLOSE + 0.25))
+    distance = 1 - smooth(t, 0.3, 2.9)
     out = {
-        "gantry_x": 0.45 - 0.10 * away,
-        "gantry_y": float(ride[1, 3]) - 0.04 * away,
-        "gantry_z": 0.115 + 0.33 * away + 0.14 * smooth(t, T_LIFT, T_LIFT + 0.8),
-        "wrist_yaw": 0.35 - 0.25 * away,
+        "gantry_x": 0.45 - 0.10 * distance,
+        "gantry_y": float(T_base_object[1, 3]) - 0.04 * distance,
+        "gantry_z": 0.115 + 0.33 * distance + 0.14 * smooth(t, T_LIFT, T_LIFT + 0.8),
+        "wrist_yaw": 0.35 - 0.25 * distance,
     }
     closed = smooth(t, T_CLOSE, T_CLOSE + 0.3)
     for finger in FINGERS:
@@ -187,6 +195,7 @@ def object_pose(t: float) -> Array:
 
 
 def scene_at(t: float, scene: Scene, box: Box) -> Scene:
+    """The scene with box and fingers at t s."""
     q = joints(t)
     T_hand = hand_pose(q)
     solids: list[tuple[Box | Capsule, Array]] = [(box, object_pose(t))]
@@ -203,6 +212,7 @@ def scene_at(t: float, scene: Scene, box: Box) -> Scene:
 
 
 def make(path: Path) -> None:
+    """Write the recording."""
     rng = np.random.default_rng(7)
     table = speckle(rng, (92, 96, 100), 14)
     box = Box(HALF, [printed(rng, (170, 60, 50)) for _ in range(6)])

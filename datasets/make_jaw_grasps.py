@@ -1,4 +1,7 @@
-"""Search the jaw grasps of the eight objects that the simulator ships: `python datasets/make_jaw_grasps.py [OBJECT…]`."""
+"""Search the jaw grasps of the eight objects for dgeval/simulation/known_jaw_grasps.json.
+
+python datasets/make_jaw_grasps.py [OBJECT…]
+"""
 
 from __future__ import annotations
 
@@ -20,12 +23,12 @@ FILE = Path(__file__).parents[1] / "dgeval" / "simulation" / "known_jaw_grasps.j
 
 def main() -> None:
     limit_threads()
-    things = eight_objects()
-    found = json.loads(FILE.read_text()) if FILE.exists() else {}
-    for name in sys.argv[1:] or things:
-        found[name] = [pose_from_matrix(T).round(5).tolist() for T in search(things[name], 30, 5)]
-        print(f"{name}: {len(found[name])}")
-        FILE.write_text(json.dumps(found, separators=(",", ":")) + "\n")
+    models = eight_objects()
+    grasps = json.loads(FILE.read_text()) if FILE.exists() else {}
+    for name in sys.argv[1:] or models:
+        grasps[name] = [pose_from_matrix(T).round(5).tolist() for T in search(models[name], 30, 5)]
+        print(f"{name}: {len(grasps[name])}")
+        FILE.write_text(json.dumps(grasps, separators=(",", ":")) + "\n")
 
 
 if __name__ == "__main__":

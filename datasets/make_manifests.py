@@ -1,6 +1,9 @@
-"""Manifests of the scenarios whose trials are all wanted, from the plans alone: python datasets/make_manifests.py
+"""Write manifests of the scenarios in WHOLE from their plans, without simulating.
 
-`dgeval simulate MANIFEST` then makes their recordings; hashes are in no manifest that wasn't rendered.
+`dgeval simulate MANIFEST` makes their recordings. These manifests hold no hashes, because nothing
+is rendered.
+
+    python datasets/make_manifests.py
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from pathlib import Path
 from dgeval.simulation.campaign import Campaign, plan_of, write_manifest
 from dgeval.simulation.scenario import load_scenario
 
+# Scenarios whose manifest holds all their trials
 WHOLE = ("handover", "table-clearing", "turntable", "vfas-handover")
 
 

@@ -1,7 +1,8 @@
-"""A small ray caster for made recordings: boxes and capsules with procedural texture over a plane, exact depth.
+"""A small ray caster for synthetic recordings: boxes and capsules over a plane, exact depth.
 
-It needs nothing but numpy, so that a recording with known truth can be made anywhere. Sensor noise follows
-`dgeval.geometry.depth_sigma`; edges lose pixels and depth is quantised as a structured-light camera's is.
+It needs no graphics card and no physics engine, so that a recording with known truth can be made
+anywhere. Sensor noise follows `dgeval.geometry.depth_sigma`. Edges lose pixels, and depth is
+quantised as in a structured-light camera.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Box:
-    """Half lengths m, one texture (square RGB image) per face in the order +x -x +y -y +z -z."""
+    """Half lengths, m; one texture (square RGB image) per face in the order +x -x +y -y +z -z."""
 
     half: tuple[float, float, float]
     faces: list[Image]
@@ -26,7 +27,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Capsule:
-    """Segment of half length along z, radius, m; one colour RGB."""
+    """Segment along z with half length and radius, m; one colour RGB."""
 
     radius: float
     half: float
@@ -92,7 +93,7 @@ def _sample(texture: Image, u: Array, v: Array) -> Array:
 def render(
     scene: Scene, camera: Intrinsics, T_world_camera: Array
 ) -> tuple[Image, Array, NDArray[np.int16]]:
-    """Colour (H, W, 3), exact depth (H, W) m, and the index of the solid seen (-1 table, -2 nothing)."""
+    """Colour (H, W, 3), exact depth (H, W) m, index of the visible solid (-1 table, -2 none)."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     rays = np.stack(
         [(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u, dtype=float)], -1
@@ -113,12 +114,12 @@ def render(
             T = invert(T_world_solid)
             o = T[:3, :3] @ origin + T[:3, 3]
             d = directions @ T[:3, :3].T
-            near, shade = (
+            distance, shade = (
                 _hit_box(solid, o, d) if isinstance(solid, Box) else _hit_capsule(solid, o, d)
             )
-            better = near < depth
-            depth[better], ids[better] = near[better], i
-            colour[better] = shade(better)
+            nearer = distance < depth
+            depth[nearer], ids[nearer] = distance[nearer], i
+            colour[nearer] = shade(nearer)
     shape = (camera.height, camera.width)
     depth[~np.isfinite(depth)] = 0.0
     return (
@@ -182,11 +183,14 @@ def _hit_capsule(capsule: Capsule, o: Array, d: Array):  # type: ignore[no-untyp
 def add_noise(
     rng: np.random.Generator, colour: Image, depth: Array, minimum: float = 0.0
 ) -> tuple[Image, NDArray[np.uint16]]:
-    """Sensor noise: colour (H, W, 3), depth in mm (H, W) uint16 with 0 where there is no reading."""
+    """Add sensor noise: colour (H, W, 3) uint8, depth (H, W) uint16 mm, 0 where none is measured.
+
+    depth: (H, W) m. minimum: m; nearer depth is not measured.
+    """
     noisy = cv2.GaussianBlur(colour, (3, 3), 0.6).astype(np.float64) + rng.normal(
         0, 2.5, colour.shape
     )
-    # the noise of neighbouring depth pixels is correlated, as matching windows overlap
+    # depth noise of neighbouring pixels is correlated, because the matching windows overlap
     field_ = cv2.GaussianBlur(rng.standard_normal(depth.shape), (5, 5), 1.0)
     field_ /= field_.std()
     z = depth + field_ * depth_sigma(depth)

@@ -1,6 +1,7 @@
-"""Every parameter, its default and its source. Unknown keys are errors that name the nearest key.
+"""Every parameter with its default, unit and source.
 
-Order of precedence: command line over file over default. The environment is never read.
+The command line takes precedence over the file, the file over the default. The environment is never
+read. An unknown key is an error that names the nearest known key.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ class Section(BaseModel):
 
 
 class RolesConfig(Section):
-    """Topic per role; None means found by type and name."""
+    """Topic of each role; None: found by type and name."""
 
     colour: str | None = None
     depth: str | None = None
@@ -49,7 +50,7 @@ class ClockConfig(Section):
 
 
 class FramesConfig(Section):
-    """tf frame names; None means found."""
+    """Names of tf frames; None: found in the recording."""
 
     base: str | None = None
     camera: str | None = Field(
@@ -179,7 +180,8 @@ class EstimationConfig(Section):
 class GraspsConfig(Section):
     source: Literal["auto", "recorded", "ffhnet", "none"] = Field(
         "auto",
-        description="auto: the robot's own where they are recorded, else FFHNet where the hand is one it knows",
+        description="auto: the robot's own where they are recorded, else FFHNet where the hand is "
+        "one it knows",
     )
     candidates: int = Field(
         256, ge=1, le=10_000, description="grasps drawn per frame (paper: not given, PAPERS A14)"
@@ -187,17 +189,19 @@ class GraspsConfig(Section):
     max_overlap: float = Field(
         0.004,
         ge=0,
-        description="m; candidates whose hand lies deeper in the model are left out, the one chosen last if 2.5 times as deep "
-        "(ours; 1 turns it off)",
+        description="m; candidates whose hand lies deeper in the model are left out, the one "
+        "chosen last if 2.5 times as deep (ours; 1 turns it off)",
     )
     support_z: float | None = Field(
         None,
-        description="m in the base frame; candidates whose hand reaches deeper below it are left out (ours)",
+        description="m in the base frame; candidates whose hand reaches deeper below it are left "
+        "out (ours)",
     )
     way_m: float = Field(
         0.0,
         ge=0,
-        description="m before a grasp over which the hand's straight way to it must be free of the model too (ours)",
+        description="m before a grasp over which the hand's straight way to it must be free of the "
+        "model too (ours)",
     )
     generator: str | None = Field(
         None, description="weights, .safetensors or the authors' *_gen_net.pt; default: shipped"
@@ -216,7 +220,8 @@ class SelectionConfig(Section):
     keep_margin: float = Field(
         0.0,
         ge=0,
-        description="by how much another grasp's metric must be better than that of the one chosen last (ours)",
+        description="by how much another grasp's metric must be better than that of the one chosen "
+        "last (ours)",
     )
     literal_eq5: bool = Field(
         False, description="the signs of equation 5 as printed, which reward distance"
@@ -242,12 +247,13 @@ class ServoConfig(Section):
     beyond_m: float = Field(
         0.0,
         ge=0,
-        description="m beyond the grasp along the fingers that the hand is sent to as long as it is before it (ours)",
+        description="m beyond the grasp along the fingers that the hand is sent to as long as it "
+        "is before it (ours)",
     )
 
 
 class OneEuroConfig(Section):
-    """The paper names the filter and gives no parameters: these are PAPERS 7's, for 20 Hz."""
+    """Parameters of the 1 euro filter at 20 Hz: PAPERS 7's, as the paper gives none."""
 
     position_cutoff: float = Field(1.5, gt=0, description="Hz, least")
     position_beta: float = Field(5.0, ge=0, description="Hz per m/s")
@@ -265,14 +271,16 @@ class VfasConfig(Section):
     )
     labels: Literal["vfas", "jsll"] | None = Field(
         None,
-        description="of scene and gripper points, 0/1 or 1/0; default: as the weights were trained (PAPERS B8)",
+        description="of scene and gripper points, 0/1 or 1/0; default: as the weights were trained "
+        "(PAPERS B8)",
     )
     centre: Literal["grasp", "mean"] | None = Field(
         None, description="what points are relative to; default: as the weights'"
     )
     contact_graspnet: str | None = Field(
         None,
-        description="seeds where none is recorded: a checkpoint of cgn-pytorch, or `installed`; default: dgeval's sampler",
+        description="seeds where none is recorded: a checkpoint of cgn-pytorch, or `installed`; "
+        "default: dgeval's sampler",
     )
     candidates: int = Field(64, ge=1, le=4096, description="N, grasps drawn per iteration (ours)")
     half_width: float = Field(0.02, gt=0, description="m on each axis of the seed (paper)")
@@ -288,7 +296,8 @@ class VfasConfig(Section):
     good_score: float = Field(0.5, description="a grasp is good above it (paper)")
     keep_seed: bool = Field(
         True,
-        description="the seed itself is a candidate too (ours: else no iteration can leave it in place)",
+        description="the seed itself is a candidate too (ours: else no iteration can leave it in "
+        "place)",
     )
     adaptive: bool = Field(True, description="the region and N grow until a good grasp is found")
     factor: float = Field(1.3, ge=1, description="lambda, growth per iteration (paper)")
@@ -306,7 +315,8 @@ class VfasConfig(Section):
     hold_iterations: int = Field(5, ge=1, description="within both before the advance (paper)")
     search: bool = Field(
         False,
-        description="the seed is ahead of the gripper and stays until a good grasp is found (handover)",
+        description="the seed is ahead of the gripper and stays until a good grasp is found "
+        "(handover)",
     )
     search_ahead: float = Field(0.15, gt=0, description="m (paper)")
     refine: bool = Field(
@@ -320,13 +330,14 @@ class ExecutionConfig(Section):
     arrived_m: float | None = Field(
         None,
         gt=0,
-        description="m of the hand to the grasp within which alone it is executed (ours; paper: by score alone)",
+        description="m of the hand to the grasp within which alone it is executed (ours; paper: by "
+        "score alone)",
     )
     arrived_deg: float = Field(6.0, gt=0, description="degrees, with arrived_m (ours)")
 
 
 class ScheduleConfig(Section):
-    """When a stage's result becomes usable after its image was taken, s."""
+    """Latency of a stage, s: from the stamp of an image to the time its result is usable."""
 
     perception_latency_s: float = Field(0.0, ge=0)
     grasps_latency_s: float = Field(0.0, ge=0)
@@ -380,27 +391,33 @@ class Config(Section):
     review: ReviewConfig = ReviewConfig()
 
     def beyond_the_paper(self) -> list[str]:
-        """What of the dynamic pipeline goes another way than the paper's, by these values: for the notes of a trial."""
+        """Sentences for a trial's notes: where these values depart from the paper."""
         out = []
         if self.selection.keep_margin:
             out.append(
-                f"a chosen grasp is kept until another's metric is better by {self.selection.keep_margin:g}"
+                "a chosen grasp is kept until another's metric is better by "
+                f"{self.selection.keep_margin:g}"
             )
         if self.grasps.way_m:
             out.append(
-                f"the last {100 * self.grasps.way_m:g} cm of the way to a grasp are free of the model"
+                f"the last {100 * self.grasps.way_m:g} cm of the way to a grasp are free of the "
+                "model"
             )
         if self.servo.beyond_m:
             out.append(f"the hand is sent {1e3 * self.servo.beyond_m:g} mm beyond the grasp")
         if self.execution.arrived_m is not None:
             out.append(
-                f"executed within {1e3 * self.execution.arrived_m:g} mm of the grasp, not by score alone"
+                f"executed within {1e3 * self.execution.arrived_m:g} mm of the grasp, not by score "
+                "alone"
             )
         return [f"not in the paper: {what}" for what in out]
 
 
 def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) -> Config:
-    """A pipeline's name or TOML file, with `section.key=value` assignments on top. UsageError names the fault."""
+    """The configuration of a pipeline's name or TOML file, changed by `section.key=value` texts.
+
+    UsageError names the faulty key or assignment.
+    """
     values: dict[str, Any] = {}
     if pipeline.endswith(".toml"):
         values = read_toml(Path(pipeline))
@@ -419,13 +436,13 @@ def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) ->
 
 
 def validated(model: type[Model], values: dict[str, Any], what: str, path: Path) -> Model:
-    """A file's values as a model; UsageError names the file and the first key at fault."""
+    """A file's values as a model; UsageError names the file and the first faulty key."""
     try:
         return model.model_validate(values)
     except ValidationError as error:
         first: Any = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"])
-        raise UsageError(f"{what}: {where}: {first['msg']}", Place(str(path))) from error
+        key = ".".join(str(p) for p in first["loc"])
+        raise UsageError(f"{what}: {key}: {first['msg']}", Place(str(path))) from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -444,7 +461,7 @@ def _assign(values: dict[str, Any], assignment: str) -> None:
     try:
         value = tomllib.loads(f"x = {text}")["x"]
     except tomllib.TOMLDecodeError:
-        value = text  # a bare word is text
+        value = text  # not a TOML value: taken as text
     *sections, last = key.strip().split(".")
     node = values
     for name in sections:
@@ -456,16 +473,16 @@ def _assign(values: dict[str, Any], assignment: str) -> None:
 
 def _explain(error: Any) -> str:
     path = [str(p) for p in error["loc"]]
-    where = ".".join(path)
+    key = ".".join(path)
     if error["type"] != "extra_forbidden":
-        return f"{where}: {error['msg']} (got {error['input']!r})"
+        return f"{key}: {error['msg']} (got {error['input']!r})"
     model: type[BaseModel] = Config
     for name in path[:-1]:
         model = model.model_fields[name].annotation  # type: ignore[assignment]
-    near = difflib.get_close_matches(path[-1], model.model_fields, n=1)
+    nearest = difflib.get_close_matches(path[-1], model.model_fields, n=1)
     hint = (
-        f", did you mean {'.'.join([*path[:-1], near[0]])}?"
-        if near
+        f", did you mean {'.'.join([*path[:-1], nearest[0]])}?"
+        if nearest
         else f"; known: {', '.join(model.model_fields)}"
     )
-    return f"unknown key {where}{hint}"
+    return f"unknown key {key}{hint}"

@@ -20,22 +20,39 @@ THREAD_VARIABLES = (
     "MKL_NUM_THREADS",
     "NUMEXPR_NUM_THREADS",
 )
+# Packages whose versions are part of the fingerprint
 FINGERPRINT_PACKAGES = (
-    "numpy", "scipy", "opencv-contrib-python-headless", "small_gicp", "open3d-cpu", "open3d", "kiss-icp",
-    "filterpy", "mcap", "rosbags", "pyarrow", "torch",
-)  # fmt: skip
+    "numpy",
+    "scipy",
+    "opencv-contrib-python-headless",
+    "small_gicp",
+    "open3d-cpu",
+    "open3d",
+    "kiss-icp",
+    "filterpy",
+    "mcap",
+    "rosbags",
+    "pyarrow",
+    "torch",
+)
 
 
 def set_thread_variables() -> None:
-    """Ask every BLAS, OpenMP and Mesa of this process and its children for one thread. Before numpy is imported."""
+    """Set one thread for BLAS, OpenMP and Mesa in this process and its children.
+
+    Call it before numpy is imported.
+    """
     for name in THREAD_VARIABLES:
         os.environ[name] = "1"
-    # Mesa's software renderer counts the threads beside the one that calls it
+    # Mesa's software renderer counts the threads besides the calling one
     os.environ["LP_NUM_THREADS"] = "0"
 
 
 def limit_threads() -> None:
-    """One thread in the libraries that are already loaded (BLAS by threadpoolctl, OpenCV and torch by their own switch)."""
+    """Set one thread in the libraries that are already loaded.
+
+    BLAS by threadpoolctl, OpenCV and torch by their own functions.
+    """
     import cv2
     from threadpoolctl import threadpool_limits
 
@@ -46,7 +63,11 @@ def limit_threads() -> None:
 
 
 def generator(seed: int, stage: str, frame: int) -> np.random.Generator:
-    """Random draws keyed by (seed, stage, frame index in the trial) alone: Philox with that key."""
+    """Random generator keyed by seed, stage and frame index in the trial, and by nothing else.
+
+    Philox with the SHA-256 of "seed/stage" as its key and the frame as its counter. So draws don't
+    depend on the order or the number of earlier draws.
+    """
     import numpy as np
 
     key = hashlib.sha256(f"{seed}/{stage}".encode()).digest()[:16]
@@ -56,7 +77,10 @@ def generator(seed: int, stage: str, frame: int) -> np.random.Generator:
 
 
 def fingerprint() -> dict[str, str]:
-    """What may change the last bits of a result: processor, C library, Python and library versions."""
+    """Versions and features of the platform that may change the last bits of a result.
+
+    Processor, system, C library, Python, and the installed packages of FINGERPRINT_PACKAGES.
+    """
     from importlib import metadata
 
     out = {
@@ -88,8 +112,9 @@ _NAN = struct.pack("<d", math.nan)
 class ColumnDigest:
     """SHA-256 over typed columns with nulls, fed row by row; equal for any chunking.
 
-    Names sorted, numbers little-endian in 8 bytes, one NaN pattern, -0 as 0, text UTF-8 with its length before it, each
-    value preceded by a byte that says whether it is null.
+    Columns go in by sorted name. Each value starts with a byte: 0 for null, 1 for a value. Numbers
+    follow little-endian in 8 bytes (one bit pattern for NaN, -0 as 0), text as UTF-8 after its
+    length.
     """
 
     def __init__(self, columns: dict[str, str]) -> None:
@@ -100,7 +125,7 @@ class ColumnDigest:
         self._rows = 0
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """Take one row in; a missing key is a null. Kinds: bool, int, float, str."""
+        """Add one row; a missing key is a null. Kinds of columns: bool, int, float, str."""
         self._rows += 1
         for name, kind, digest in self._columns:
             value = row.get(name)

@@ -1,6 +1,6 @@
-"""The errors that cross dgeval's boundaries, and the damage a recording may carry.
+"""The errors that dgeval raises on purpose, the exit codes, and the damage of a recording.
 
-Every message says what is wrong, where (topic, time or byte offset), what to do, and the file last.
+A message says what is wrong, what to do, where (topic, time or byte offset), and the file last.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ EXIT_CODES: dict[int, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where in an input something is wrong. Unknown parts are None."""
+    """Where in an input the fault is. Unknown parts are None.
+
+    t_ns: time, ns. offset: byte in the file.
+    """
 
     file: str
     topic: str | None = None
@@ -44,7 +47,10 @@ class Place:
 
 
 class DgevalError(Exception):
-    """Base of everything dgeval raises on purpose. `exit_code` is what the command line returns."""
+    """Base of all errors that dgeval raises on purpose.
+
+    exit_code: of the command line. The message is `what; hint [place]`.
+    """
 
     exit_code = EXIT_INTERNAL
 
@@ -73,7 +79,7 @@ class UnreadableError(DgevalError):
 
 
 class UndecodableError(DgevalError):
-    """One message whose bytes don't make a value of its type. Costs that message, not the recording."""
+    """The bytes of one message are no value of its type. Only that message is lost."""
 
     exit_code = EXIT_DATA_LOST
 
@@ -85,7 +91,7 @@ class MissingDependencyError(DgevalError):
 
 
 class OtherRecordingsError(DgevalError):
-    """Recordings are not those that a baseline was made from."""
+    """A recording is not the one that the baseline was made from."""
 
     exit_code = EXIT_DATA_LOST
 
@@ -98,7 +104,11 @@ class NotDeterministicError(DgevalError):
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Data lost from an input: what happened, where, and from which log time on nothing was used."""
+    """Data lost from an input: what happened, and where.
+
+    lost_from_ns, lost_to_ns: log times, ns, between which nothing was used; lost_to_ns None: up to
+    the end.
+    """
 
     what: str
     place: Place
@@ -114,6 +124,6 @@ class Damage:
 
 
 def describe(error: BaseException) -> str:
-    """A foreign error in one line: its class, and its text where it has one."""
+    """An exception of another library in one line: its class, and its text where it has one."""
     text = " ".join(str(error).split())[:160]
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

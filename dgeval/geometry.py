@@ -1,7 +1,7 @@
 """Rigid transforms, pinhole projection, planes. `T_a_b` maps points from frame b into frame a.
 
-Transforms are (4, 4) float64; a pose as seven numbers is px py pz qx qy qz qw, metres, unit quaternion
-with qw >= 0 so that equal rotations have equal numbers.
+Transforms are (4, 4) float64, lengths in m. A pose as seven numbers is px py pz qx qy qz qw in m,
+with a unit quaternion of qw >= 0, so that equal rotations have equal numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,10 @@ Array = NDArray[np.float64]
 
 
 def matrix_from_pose(pose: Array) -> Array:
-    """(7,) px py pz qx qy qz qw -> T (4, 4). The quaternion is normalised; a zero one is a ValueError."""
+    """(7,) px py pz qx qy qz qw -> T (4, 4).
+
+    The quaternion is normalised; a zero quaternion is a ValueError.
+    """
     T = np.eye(4)
     T[:3, :3] = Rotation.from_quat(pose[3:7]).as_matrix()
     T[:3, 3] = pose[:3]
@@ -66,7 +69,10 @@ def rotation_vector(R: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Row-wise cross product (..., 3); numpy's own costs several times as much on arrays of a few thousand rows."""
+    """Row-wise cross product (..., 3).
+
+    numpy's own takes several times as long on arrays of a few thousand rows.
+    """
     out = np.empty(np.broadcast_shapes(a.shape, b.shape), np.result_type(a, b))
     out[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
     out[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
@@ -88,7 +94,10 @@ def orthonormalise(T: Array) -> Array:
 
 
 def interpolate_pose(a: Array, b: Array, alpha: float) -> Array:
-    """Between two (7,) poses: linear in position, slerp in rotation, shortest way. alpha in [0, 1]."""
+    """Interpolate two (7,) poses: linear in position, slerp along the shorter arc in rotation.
+
+    alpha: 0 gives a, 1 gives b.
+    """
     qa = a[3:7] / np.linalg.norm(a[3:7])
     qb = b[3:7] / np.linalg.norm(b[3:7])
     dot = float(qa @ qb)
@@ -129,7 +138,8 @@ class Intrinsics:
 def depth_sigma(z: NDArray[Any] | float) -> Array:
     """Standard deviation of an RGB-D camera's depth at range z, m.
 
-    Nguyen, Izadi, Lovell, 3DIMPVT 2012 (axial noise of the first Kinect): 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2. Active
-    stereo cameras are of the same size in 0.3-1.5 m, so one model serves unless a recording says otherwise.
+    Nguyen, Izadi, Lovell, 3DIMPVT 2012, axial noise of the first Kinect: 1.2 mm + 1.9 mm/m^2
+    (z - 0.4 m)^2. The noise of active stereo cameras is of the same size from 0.3 to 1.5 m, so one
+    model serves for both.
     """
     return np.asarray(0.0012 + 0.0019 * (np.asarray(z) - 0.4) ** 2)

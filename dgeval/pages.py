@@ -1,4 +1,4 @@
-"""What pages of a report and of a comparison are made with: templates, and figures inside the file."""
+"""Templates and embedded figures for the pages of a report and of a comparison."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def template_environment(folder: str) -> jinja2.Environment:
 
 
 def as_data_uri(figure: Figure) -> str:
-    """PNG inside the HTML file, so that it needs nothing beside it."""
+    """A figure as a PNG data URI, so that the HTML file needs no other file."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -1,4 +1,4 @@
-"""One file of data per procedural object, over processes."""
+"""One file of training data per procedural object, made in worker processes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from dgeval.determinism import set_thread_variables
 def write_all(
     make: Callable[[int], Path], objects: Sequence[int], jobs: int, progress: Callable[[Path], None]
 ) -> list[Path]:
-    """What `make` (which can be pickled) writes for objects by their numbers; the same for any number of jobs."""
+    """Call `make` with each object's number; returns the files that it wrote, in that order.
+
+    make: must be picklable. progress: called with each file. The files are the same for any number
+    of jobs.
+    """
     if jobs == 1:
         paths = []
         for index in objects:

@@ -1,6 +1,7 @@
-"""May this change merge: a data set replayed and held against a stored baseline.
+"""The regression gate: may a change of code merge? A data set is replayed and compared.
 
-A baseline is one zip file: the tables of a run, and `baseline.json` with what they were made from and why.
+A baseline is one zip file. It holds the tables of a run, and `baseline.json` with the data set, the
+recordings' hashes, the version and the reason for which it was made.
 """
 
 from __future__ import annotations
@@ -22,15 +23,16 @@ from dgeval.runs.files import file_name
 from dgeval.runs.results import Run, read_run
 from dgeval.schema import SCHEMA_VERSION
 
-EPOCH = (1980, 1, 1, 0, 0, 0)  # of every member: the same tables give the same file
-UNDECIDED = ("inconclusive", "disagreement")  # these pass with a warning
+EPOCH = (1980, 1, 1, 0, 0, 0)  # date of every zip member, so that equal tables give equal bytes
+UNDECIDED = ("inconclusive", "disagreement")  # conclusions that pass with a warning
 TABLES = ("run.json", "trials.parquet", "timings.parquet")
 
 
 def dataset_of(specs: Iterable[TrialSpec], inputs: dict[str, str]) -> dict[str, Any]:
-    """What a baseline belongs to: by trial everything that the manifest says, and the recordings' SHA-256.
+    """Identity of a data set: the manifest's entries and the recordings' SHA-256, by trial.
 
-    The recordings' place and name are no part of it; inputs: SHA-256 by trial.
+    inputs: SHA-256 by trial. Path and name of a recording are no part of the identity. The result's
+    `sha256` is over all of it.
     """
     trials = {
         s.id: {k: v for k, v in asdict(s).items() if k not in ("recording", "sha256")}
@@ -49,7 +51,10 @@ def dataset_of(specs: Iterable[TrialSpec], inputs: dict[str, str]) -> dict[str, 
 def write_baseline(
     path: Path, folder: Path, dataset: str, specs: list[TrialSpec], reason: str
 ) -> None:
-    """Store a finished run as the baseline of a data set. Byte-identical for the same tables but for the times in them."""
+    """Store a finished run as the baseline of a data set.
+
+    Equal tables give equal bytes, except for the measured times in them.
+    """
     run = read_run(folder)
     about = {
         "dataset": dataset,
@@ -76,12 +81,18 @@ def write_baseline(
 
 
 def read_baseline(path: Path, into: Path) -> tuple[dict[str, Any], Run]:
-    """What a baseline says of itself, and its tables, unpacked. UsageError where it is none, or of another schema."""
+    """Unpack a baseline into the folder `into`: its baseline.json and its run.
+
+    UsageError where the file is no baseline, or its tables have another schema version.
+    """
     try:
         with zipfile.ZipFile(path) as file:
             about: dict[str, Any] = json.loads(file.read("baseline.json"))
             if about["schema_version"] != SCHEMA_VERSION:
-                what = f"the baseline has tables of schema {about['schema_version']}, this dgeval writes {SCHEMA_VERSION}"
+                what = (
+                    f"the baseline has tables of schema {about['schema_version']}, this dgeval "
+                    f"writes {SCHEMA_VERSION}"
+                )
                 raise UsageError(what, Place(str(path)), "make it again with --update --reason")
             file.extractall(into)
     except FileNotFoundError as error:
@@ -95,7 +106,7 @@ def read_baseline(path: Path, into: Path) -> tuple[dict[str, Any], Run]:
 
 
 def check_dataset(about: dict[str, Any], dataset: str, specs: list[TrialSpec], path: Path) -> None:
-    """UsageError where the baseline is of another data set, by name or by its trials."""
+    """UsageError where the baseline is of another data set, by its name or by its trials."""
     if about["dataset"] != dataset:
         raise UsageError(
             f"the baseline is of data set {about['dataset']!r}, this is {dataset!r}",
@@ -122,55 +133,72 @@ def check_recordings(about: dict[str, Any], inputs: dict[str, str], path: Path) 
     other = [t for t in sorted(inputs) if about["inputs"].get(t) != inputs[t]]
     if other:
         more = f" and {len(other) - 1} more" if len(other) > 1 else ""
-        what = f"the recording of trial {other[0]}{more} is not the one that the baseline was made from"
+        what = (
+            f"the recording of trial {other[0]}{more} is not the one that the baseline was made "
+            "from"
+        )
         raise OtherRecordingsError(what, Place(str(path)), "give those, or make the baseline again")
 
 
 def gate(baseline: Run, now: Run, fail_on_inconclusive: bool) -> tuple[Comparison, bool, str]:
-    """The comparison, whether it may pass, and in words why."""
-    c = compare_runs(baseline, now)
-    missing = list(c.only_old)
+    """The comparison, whether the change may pass, and the reason as a sentence.
+
+    A change fails where a metric is worse or a trial is missing. It also fails where the conclusion
+    is in UNDECIDED, if `fail_on_inconclusive`.
+    """
+    comparison = compare_runs(baseline, now)
+    missing = list(comparison.only_old)
     if missing:
         return (
-            c,
+            comparison,
             False,
             f"{len(missing)} trials of the baseline were not replayed, {missing[0]} first",
         )
-    said = {
+    message = {
         "identical": "every stage of every trial gives the baseline's bytes",
         "within tolerance": "differences are within the tolerances of their fields",
         "same": "results changed, by less than matters",
         "better": "results changed for the better",
         "inconclusive": "results changed, and these trials can't tell whether for the worse",
         "disagreement": "facts of the log are told differently, and one of the two is wrong: "
-        + "; ".join(f"{t}: {f} {a} -> {b}" for t, f, a, b in c.facts[:3])
-        + (f"; and {len(c.facts) - 3} more" if len(c.facts) > 3 else ""),
+        + "; ".join(f"{t}: {f} {a} -> {b}" for t, f, a, b in comparison.facts[:3])
+        + (f"; and {len(comparison.facts) - 3} more" if len(comparison.facts) > 3 else ""),
         "worse": "results changed for the worse: "
-        + ", ".join(r.metric.name for r in c.results if r.answer == "worse"),
-    }[c.conclusion]
-    passed = c.conclusion != "worse" and not (fail_on_inconclusive and c.conclusion in UNDECIDED)
-    if c.first is not None:
-        said += f". First divergence: {c.first.first}"
-    return c, passed, said
+        + ", ".join(r.metric.name for r in comparison.results if r.answer == "worse"),
+    }[comparison.conclusion]
+    passed = comparison.conclusion != "worse" and not (
+        fail_on_inconclusive and comparison.conclusion in UNDECIDED
+    )
+    if comparison.first is not None:
+        message += f". First divergence: {comparison.first.first}"
+    return comparison, passed, message
 
 
-def junit(c: Comparison, passed: bool, said: str, dataset: str) -> str:
-    """JUnit XML: a case per trial (bytes or tolerance, facts of the log) and per metric; the gate itself is a case."""
+def junit(comparison: Comparison, passed: bool, message: str, dataset: str) -> str:
+    """The comparison as JUnit XML: a case per trial, per metric, and one for the gate.
+
+    A trial with changed facts of the log, and an inconclusive metric, count as skipped.
+    message: the gate's sentence, given where it failed.
+    """
     suites = ElementTree.Element("testsuites", name=f"dgeval regress {dataset}")
-    differing = {d.trial: d for d in c.differences}
-    trials = _suite(suites, "trials", len(c.trials) + len(c.only_old))
-    for trial in c.trials:
+    differing = {d.trial: d for d in comparison.differences}
+    trials = _suite(suites, "trials", len(comparison.trials) + len(comparison.only_old))
+    for trial in comparison.trials:
         case = ElementTree.SubElement(trials, "testcase", classname=f"{dataset}.trials", name=trial)
-        if told := "; ".join(f"{f} {a} -> {b}" for t, f, a, b in c.facts if t == trial):
-            ElementTree.SubElement(case, "skipped", message=f"one of the two is wrong: {told}")
+        if changed_facts := "; ".join(
+            f"{f} {a} -> {b}" for t, f, a, b in comparison.facts if t == trial
+        ):
+            ElementTree.SubElement(
+                case, "skipped", message=f"one of the two is wrong: {changed_facts}"
+            )
         if (d := differing.get(trial)) is not None and not d.within:
             out = ElementTree.SubElement(case, "system-out")
             out.text = f"changed: {d.first}; frames that differ by stage: {d.stages}"
-    for trial in c.only_old:
+    for trial in comparison.only_old:
         case = ElementTree.SubElement(trials, "testcase", classname=f"{dataset}.trials", name=trial)
         ElementTree.SubElement(case, "failure", message="not replayed")
     metrics = _suite(suites, "metrics", len(METRICS))
-    results = {r.metric: r for r in c.results}
+    results = {r.metric: r for r in comparison.results}
     for metric in METRICS:
         case = ElementTree.SubElement(
             metrics, "testcase", classname=f"{dataset}.metrics", name=metric.name
@@ -189,7 +217,7 @@ def junit(c: Comparison, passed: bool, said: str, dataset: str) -> str:
     whole = _suite(suites, "gate", 1)
     case = ElementTree.SubElement(whole, "testcase", classname=dataset, name="gate")
     if not passed:
-        ElementTree.SubElement(case, "failure", message=said)
+        ElementTree.SubElement(case, "failure", message=message)
     for suite in suites:
         for kind, tag in (("failures", "failure"), ("skipped", "skipped")):
             suite.set(kind, str(len(suite.findall(f"testcase/{tag}"))))

@@ -1,6 +1,7 @@
-"""The review recording of a trial: a view of the tables, made to be opened at the decisive moment.
+"""The review recording of a trial for the Rerun viewer; it opens at the decisive moment.
 
-All calls into rerun's API stand here: it changes with every release. Images go in as they were recorded.
+Only this module and compare/review.py call rerun, whose API changes with every release. Colour
+images go in as they were recorded where they are JPEG or PNG.
 """
 
 from __future__ import annotations
@@ -28,22 +29,22 @@ from dgeval.robots.description import LinkShape
 from dgeval.verdict.judge import Judgement
 
 TIMELINE = "time"
-# The viewer can't be told a moment to open at, but it opens at the end of a timeline it follows. So the last seconds up to
-# the decisive moment, which is known at the end only, stand on a second timeline as well, and that one is followed.
+# The viewer can't be given a moment to open at, but it opens at the end of a timeline that it
+# follows. So the last seconds up to the decisive moment, which is known only at the end of the
+# replay, are logged again on a second timeline, and the viewer follows that one.
 DECISIVE = "up to the decisive moment"
-EYE = np.array([0.1, -0.40, 0.25])  # m, from what is looked at
-BEFORE_S, EVERY, KEPT = (
-    2.0,
-    3,
-    400,
-)  # of that timeline: its length, every n-th frame, and frames kept to choose from
+EYE = np.array([0.1, -0.40, 0.25])  # m, base axes: place of the viewer's eye from its target
+BEFORE_S = 2.0  # s, length of the second timeline
+EVERY = 3  # every n-th frame is on it
+KEPT = 400  # frames kept in memory, of which it is made
+# RGB
 OBJECT, HAND, GRASP, OFFENDING = (240, 170, 40), (120, 130, 145), (60, 180, 90), (230, 40, 40)
 STATES = {"tracked": "tracked", "lost": "lost", "not_started": "not started"}
 
 
 @dataclass(frozen=True)
 class _Moment:
-    """What of a frame is drawn again on the second timeline; the image as it was written."""
+    """The parts of a frame that are drawn again on the second timeline."""
 
     t_ns: int
     image: rr.EncodedImage
@@ -55,7 +56,10 @@ class _Moment:
 
 
 class ReviewWriter:
-    """Writes one trial's `.rrd` frame by frame; `close` adds the blueprint and puts the file in its place."""
+    """Writes one trial's `.rrd` frame by frame.
+
+    `close` adds hindsight and blueprint, and moves the file to its final path.
+    """
 
     def __init__(self, path: Path, trial: Trial, config: ReviewConfig) -> None:
         self._path, self._robot, self._config = path, trial.robot, config
@@ -81,10 +85,15 @@ class ReviewWriter:
         self._rec.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._rec.log(
             "world/camera",
-            rr.Pinhole(focal_length=(k.fx, k.fy), principal_point=(k.cx, k.cy), width=k.width, height=k.height,
-                       image_plane_distance=0.12),
+            rr.Pinhole(
+                focal_length=(k.fx, k.fy),
+                principal_point=(k.cx, k.cy),
+                width=k.width,
+                height=k.height,
+                image_plane_distance=0.12,
+            ),
             static=True,
-        )  # fmt: skip
+        )
         for entity, names in SERIES.items():
             self._rec.log(entity, rr.SeriesLines(names=list(names)), static=True)
         for event in trial.events:
@@ -95,7 +104,7 @@ class ReviewWriter:
         self._rec.set_time(TIMELINE, duration=(t_ns - self._start_ns) * 1e-9)
 
     def add(self, step: Step) -> None:
-        """One frame: image with box, mask outline and projected model; the scene; the plots; the phase."""
+        """Log one frame: image with box, mask and projected model; scene; plots; tracker state."""
         frame, row, rec = step.frame, step.row, self._rec
         self._at(frame.t_ns)
         image, box = self._log_images(step)
@@ -165,7 +174,7 @@ class ReviewWriter:
         rec.log(image, encoded)
         self._image_bytes += len(data)
         if frame.index % self._config.depth_every == 0:
-            # half size: depth is here to be looked at, the tables hold the numbers
+            # half size: depth is here for display only
             small = np.clip(frame.depth[::2, ::2] * 1000, 0, 65535).astype(np.uint16)
             png = cv2.imencode(".png", small)[1].tobytes()
             rec.log(
@@ -184,11 +193,11 @@ class ReviewWriter:
         drawn = rr.Boxes2D(array=[x0, y0, x1, y1], array_format=rr.Box2DFormat.XYXY, colors=colour)
         rec.log(f"{image}/box", drawn)
         if step.tracked.mask is not None and step.tracked.window is not None:
-            found = cv2.findContours(
+            contours = cv2.findContours(
                 step.tracked.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1
             )[0]
             corner = np.array(step.tracked.window[:2])
-            strips = [np.vstack([c[:, 0], c[:1, 0]]) + corner for c in found if len(c) > 4]
+            strips = [np.vstack([c[:, 0], c[:1, 0]]) + corner for c in contours if len(c) > 4]
             rec.log(f"{image}/mask", rr.LineStrips2D(strips, colors=(230, 60, 200), radii=0.7))
         if step.model is not None and step.T_camera_model is not None:
             points = transform(
@@ -232,7 +241,10 @@ class ReviewWriter:
     def close(
         self, path: Path, hindsight: Hindsight | None, judgement: Judgement
     ) -> dict[str, int]:
-        """Add what hindsight says and the blueprint, rename. Gives the file's bytes and those of the images as recorded."""
+        """Add hindsight and blueprint, and move the file to `path`.
+
+        Returns the bytes of the file and of the colour images in it.
+        """
         decisive = judgement.decisive_ns or self._first_lost_ns
         evidence = judgement.row.evidence
         if hindsight is not None:
@@ -248,7 +260,7 @@ class ReviewWriter:
                 ),
             )
             self._rec.reset_time()
-            self._again(decisive, evidence)
+            self._log_decisive(decisive, evidence)
         target = None
         if hindsight is not None and decisive is not None:
             target = transform(hindsight.path.at(decisive), hindsight.path.centroid[None])[0]
@@ -261,7 +273,10 @@ class ReviewWriter:
     def _log_hindsight(
         self, hindsight: Hindsight, link: str | None, decisive_ns: int | None
     ) -> None:
-        """The free path, where the object was seen, and at the decisive moment the link nearest to it with its distance."""
+        """Log the undisturbed path and the observations of the object.
+
+        At the decisive moment also the nearest link and its distance from the object.
+        """
         rec = self._rec
         times = [m.t_ns for m in self._moments] or [s.t_ns for s in hindsight.sightings]
         centres = [transform(hindsight.path.at(t), hindsight.path.centroid[None])[0] for t in times]
@@ -270,12 +285,12 @@ class ReviewWriter:
             rr.LineStrips3D([centres], colors=OBJECT, radii=0.001),
             static=True,
         )
-        seen = [
+        observed = [
             transform(s.T_base_model, hindsight.path.centroid[None])[0] for s in hindsight.sightings
         ]
         rec.log(
             "world/hindsight/sightings",
-            rr.Points3D(seen, colors=(90, 160, 250), radii=0.002),
+            rr.Points3D(observed, colors=(90, 160, 250), radii=0.002),
             static=True,
         )
         for m in hindsight.moments:
@@ -303,28 +318,32 @@ class ReviewWriter:
             line = rr.LineStrips3D([[a, b]], colors=OFFENDING, radii=0.002, labels=label)
             rec.log("world/hindsight/distance", line, static=True)
 
-    def _again(self, decisive_ns: int, evidence: str) -> None:
-        """The last seconds up to the decisive moment, on the timeline that is followed."""
+    def _log_decisive(self, decisive_ns: int, evidence: str) -> None:
+        """Log the last BEFORE_S s up to the decisive moment again, on the timeline DECISIVE."""
         rec = self._rec
-        shown = [
-            m for m in self._moments if decisive_ns - BEFORE_S * 1e9 <= m.t_ns <= decisive_ns
+        moments = [
+            moment
+            for moment in self._moments
+            if decisive_ns - BEFORE_S * 1e9 <= moment.t_ns <= decisive_ns
         ] or list(self._moments)[-1:]
-        for m in shown[::-EVERY][::-1]:
-            rec.set_time(DECISIVE, duration=(m.t_ns - self._start_ns) * 1e-9)
-            rec.log("world/camera/colour", m.image)
+        for moment in moments[::-EVERY][::-1]:
+            rec.set_time(DECISIVE, duration=(moment.t_ns - self._start_ns) * 1e-9)
+            rec.log("world/camera/colour", moment.image)
             rec.log(
-                "world/camera/colour/box", rr.Clear(recursive=False) if m.box is None else m.box
+                "world/camera/colour/box",
+                rr.Clear(recursive=False) if moment.box is None else moment.box,
             )
-            rec.log("world/camera", _transform(m.T_base_camera))
-            if m.hand is not None:
-                self._log_hand(m.hand, m.T_base_camera)
-            if m.T_base_model is not None:
-                rec.log("world/object", _transform(m.T_base_model))
-            self._log_series(m.row)
-            rec.log("phase/tracking", rr.StateChange(state=STATES[m.row["tracking"]]))
+            rec.log("world/camera", _transform(moment.T_base_camera))
+            if moment.hand is not None:
+                self._log_hand(moment.hand, moment.T_base_camera)
+            if moment.T_base_model is not None:
+                rec.log("world/object", _transform(moment.T_base_model))
+            self._log_series(moment.row)
+            rec.log("phase/tracking", rr.StateChange(state=STATES[moment.row["tracking"]]))
         rec.log("events", rr.TextLog(evidence, level="WARN"))
 
 
+# Plots: entity, then legend and column of the frame table of each line
 SERIES: dict[str, dict[str, str]] = {
     "plots/error": {"linear, m": "error_linear", "angular, rad": "error_angular"},
     "plots/velocity": {"v x": "velocity_x", "v y": "velocity_y", "v z": "velocity_z"},
@@ -334,7 +353,10 @@ SERIES: dict[str, dict[str, str]] = {
 
 
 def _blueprint(target: Array | None) -> rrb.Blueprint:
-    """The views; the scene is looked at from half a metre beside `target` (3,) m, base frame, where there is one."""
+    """Layout of the views.
+
+    target: point (3,) m in the base frame that the viewer's eye looks at; None: the viewer chooses.
+    """
     eye = None
     if target is not None:
         eye = rrb.EyeControls3D(position=target + EYE, look_target=target, eye_up=(0, 0, 1))
@@ -376,7 +398,7 @@ def _transform(T: Array) -> rr.Transform3D:
 
 
 def _solid(shape: LinkShape) -> Any:
-    """A link's solid in its own frame; None for hulls, whose planes are not drawn."""
+    """A link's solid in its own frame; None for a convex hull, which is not drawn."""
     if shape.kind == "box":
         return rr.Boxes3D(half_sizes=[shape.size], colors=HAND, fill_mode="solid")
     if shape.kind == "sphere":
@@ -398,7 +420,10 @@ def _solid(shape: LinkShape) -> Any:
 
 
 def content_digest(path: Path) -> str:
-    """SHA-256 over the data of an `.rrd`, without the ids and clocks that rerun draws anew for every file."""
+    """SHA-256 over the data of an `.rrd`.
+
+    Without the row ids, which rerun draws anew for every file.
+    """
     from rerun.chunk import RrdReader
 
     parts = []

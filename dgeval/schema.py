@@ -1,4 +1,7 @@
-"""Every column of the result tables: type, unit, meaning, the stage that makes it. Source of Arrow schemas and digests."""
+"""Every column of the result tables: type, unit, meaning, the stage that makes it.
+
+Source of Arrow schemas and digests.
+"""
 
 from __future__ import annotations
 
@@ -177,13 +180,16 @@ TRIALS: tuple[Column, ...] = (
     Column("n_predicted", "int", "", "frames without an accepted registration", "trial"),
     Column("self_filter", "str", "", "geometry, mask or none", "trial"),
     Column("target_source", "str", "", "bbox, manifest or automatic", "trial"),
-    Column("t_execute_ns", "int", "ns", "first frame in which the replay would have closed", "trial"),
+    Column("t_execute_ns", "int", "ns",
+           "first frame in which the replay would have closed", "trial"),
     Column("t_close_ns", "int", "ns", "recorded close command", "trial"),
-    Column("t_decisive_ns", "int", "ns", "when it was decided: the push, the close, or a good moment that went by", "trial"),
+    Column("t_decisive_ns", "int", "ns",
+           "when it was decided: the push, the close, or a good moment that went by", "trial"),
     Column("contact_link", "str", "", "the link that pushed or first met the object", "trial"),
     Column("outcome", "str", "", "success, failure, no_grasp, incomplete, unknown", "trial"),
     Column("outcome_source", "str", "", "label or inferred", "trial"),
-    Column("failure_class", "str", "", "imprecise_pose, collision, timing, unknown; null unless failure", "trial"),
+    Column("failure_class", "str", "",
+           "imprecise_pose, collision, timing, unknown; null unless failure", "trial"),
     Column("p_imprecise_pose", "float", "", "probability", "trial"),
     Column("p_collision", "float", "", "probability", "trial"),
     Column("p_timing", "float", "", "probability", "trial"),
@@ -194,11 +200,14 @@ TRIALS: tuple[Column, ...] = (
     Column("belief_source", "str", "", "recorded, replayed_faithful, replayed", "trial"),
     Column("gap_s", "float", "s", "blind gap before the close", "trial"),
     Column("gap_sided", "str", "", "none, one, two", "trial"),
-    Column("execute_in_window", "bool", "", "the replay would have closed at a working moment", "trial"),
+    Column("execute_in_window", "bool", "",
+           "the replay would have closed at a working moment", "trial"),
     Column("hindsight_score_at_execute", "float", "", "of the chosen grasp", "trial"),
     Column("evidence", "str", "", "what a person can check, with times", "trial"),
-    Column("notes", "str", "", "every stand-in that ran in place of the papers' method, and assumptions", "trial"),
-    *(Column(f"digest_{stage}", "str", "", f"SHA-256 over the frame columns of stage {stage}", "trial") for stage in STAGES),
+    Column("notes", "str", "",
+           "every stand-in that ran in place of the papers' method, and assumptions", "trial"),
+    *(Column(f"digest_{stage}", "str", "",
+             f"SHA-256 over the frame columns of stage {stage}", "trial") for stage in STAGES),
 )  # fmt: skip
 
 HINDSIGHT: tuple[Column, ...] = (

@@ -1,4 +1,4 @@
-"""Intervals and scores of a report."""
+"""Intervals and scores for reports and benchmarks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 from dgeval.determinism import generator
 from dgeval.geometry import Array
 
-BOOTSTRAPS = 1000
+BOOTSTRAPS = 1000  # resamplings of the trials
 
 
 def wilson(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -23,41 +23,51 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> tuple[float, flo
 
 
 def confusion(
-    truth: Sequence[str], said: Sequence[str], classes: Sequence[str]
+    truth: Sequence[str], predicted: Sequence[str], classes: Sequence[str]
 ) -> NDArray[np.int64]:
-    """Counts (n, n), rows truth, columns verdict; what is said outside the classes is left out."""
+    """Counts (n, n): rows truth, columns predicted class. Labels outside `classes` are left out."""
     out = np.zeros((len(classes), len(classes)), dtype=np.int64)
-    for a, b in zip(truth, said, strict=True):
+    for a, b in zip(truth, predicted, strict=True):
         if a in classes and b in classes:
             out[classes.index(a), classes.index(b)] += 1
     return out
 
 
 def macro_f1(
-    truth: Sequence[str], said: Sequence[str], classes: Sequence[str], seed: int = 0
+    truth: Sequence[str], predicted: Sequence[str], classes: Sequence[str], seed: int = 0
 ) -> tuple[float, float, float]:
-    """Mean F1 over the classes that occur, with its 95 % bootstrap interval over trials; an abstention counts as wrong."""
-    a, b = np.array(truth), np.array(said)
+    """Mean F1 over the classes that occur in truth, and its 95 % bootstrap interval over trials.
+
+    An abstention counts as wrong.
+    """
+    a, b = np.array(truth), np.array(predicted)
     rng = generator(seed, "bootstrap", 0)
-    again = []
+    resampled = []
     for _ in range(BOOTSTRAPS):
         k = rng.integers(0, len(a), len(a))
-        again.append(_f1(a[k], b[k], classes))
-    return _f1(a, b, classes), float(np.quantile(again, 0.025)), float(np.quantile(again, 0.975))
+        resampled.append(_f1(a[k], b[k], classes))
+    return (
+        _f1(a, b, classes),
+        float(np.quantile(resampled, 0.025)),
+        float(np.quantile(resampled, 0.975)),
+    )
 
 
-def _f1(truth: NDArray[np.str_], said: NDArray[np.str_], classes: Sequence[str]) -> float:
+def _f1(truth: NDArray[np.str_], predicted: NDArray[np.str_], classes: Sequence[str]) -> float:
     scores = []
     for c in classes:
-        hit = int(((truth == c) & (said == c)).sum())
-        either = int((truth == c).sum() + (said == c).sum())
+        hit = int(((truth == c) & (predicted == c)).sum())
+        either = int((truth == c).sum() + (predicted == c).sum())
         if (truth == c).any():
             scores.append(2 * hit / either)
     return float(np.mean(scores)) if scores else 0.0
 
 
 def calibration_error(p: Array, correct: NDArray[np.bool_], bins: int = 10) -> float:
-    """Expected calibration error of stated probabilities (n,) of having been right, in equal bins."""
+    """Expected calibration error in bins of equal width.
+
+    p: stated probabilities (n,) of being right. correct: whether each was right (n,).
+    """
     k = np.minimum((p * bins).astype(int), bins - 1)
     return float(
         sum(

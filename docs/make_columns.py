@@ -1,4 +1,4 @@
-"""Write docs/columns.md from the one table in dgeval/schema.py; a test holds them equal."""
+"""Write docs/columns.md from the tables in dgeval/schema.py; a test compares the two."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ def page() -> str:
     parts = [
         "# Columns of the result tables",
         "",
-        f"Schema version {SCHEMA_VERSION}. Made by `python docs/make_columns.py`; do not edit by hand.",
-        "Poses are px py pz qx qy qz qw. `T_a_b` maps points from frame b into frame a. Nothing to say is null, not NaN.",
+        f"Schema version {SCHEMA_VERSION}. Made by `python docs/make_columns.py`; do not edit by "
+        "hand.",
+        "Poses are px py pz qx qy qz qw. `T_a_b` maps points from frame b into frame a. Nothing to "
+        "say is null, not NaN.",
         "Digests are taken per stage over the version-1 columns of `frames`.",
     ]
     tables: tuple[tuple[str, tuple[Column, ...]], ...] = (

@@ -1,4 +1,4 @@
-"""Shared fixtures: the demo recording, a replay of it, and the real recordings where the machine has them."""
+"""Shared fixtures: the demo recording, a replay of it, and the real recordings if available."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def demo() -> Path:
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """The folder of real recordings; without it the tests that need it are skipped."""
-    place = os.environ.get("DGEVAL_REAL_DATA", "")
-    if not place or not Path(place).is_dir():
+    folder = os.environ.get("DGEVAL_REAL_DATA", "")
+    if not folder or not Path(folder).is_dir():
         pytest.skip("DGEVAL_REAL_DATA does not name a folder with the real recordings")
-    return Path(place)
+    return Path(folder)
 
 
 @pytest.fixture(scope="session")

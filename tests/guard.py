@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import io
 import json
 import math
 import re
@@ -41,15 +42,25 @@ ARMS: dict[str, tuple[str, ...]] = {
     "csrt": ("--set", "tracking.method=csrt"),
 }
 SCENARIOS = (
-    "static", "conveyor", "conveyor-analytic", "failures", "ci-smoke", "handover", "table-clearing", "turntable",
+    "static",
+    "conveyor",
+    "conveyor-analytic",
+    "failures",
+    "ci-smoke",
+    "handover",
+    "table-clearing",
+    "turntable",
     "vfas-handover",
-)  # fmt: skip
+)
 FAILURES, FAILURES_SEED = 20, 2000  # development trials of the scenario `failures`
-VOLATILE = ("key", "seconds", "resumed")  # times of computing, and what the version is part of
+VOLATILE = ("key", "seconds", "resumed")  # keys with computing times or the version of dgeval
 
 
 def canonical(value: Any, texts: list[str]) -> Any:
-    """A value in one form: floats by their bits, sentences taken out into `texts`, nothing for what is empty."""
+    """A value in canonical form: floats as hexadecimal, null for empty values.
+
+    Texts with a space (sentences) are moved into `texts`.
+    """
     if isinstance(value, dict):
         kept = {str(k): canonical(v, texts) for k, v in sorted(value.items()) if k not in VOLATILE}
         return {k: v for k, v in kept.items() if v is not None}
@@ -75,7 +86,7 @@ def hashes(value: Any) -> tuple[str, str]:
 
 
 def of_table(table: pd.DataFrame) -> dict[str, Any]:
-    """Columns that hold anything, as lists."""
+    """The columns that are not all null, as lists."""
     table = table[[c for c in table.columns if table[c].notna().any()]]
     return {
         c: table[c].astype(object).where(table[c].notna(), None).tolist() for c in table.columns
@@ -130,16 +141,18 @@ def replayed(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
         text = (work / f"report-{arm}" / "report.md").read_text().replace(str(work), "")
         yield f"report/{arm}/numbers", re.findall(r"[-+]?\d+(?:\.\d+)?", text)
         yield f"report/{arm}/text", [line + " " for line in text.splitlines()]
-        yield f"report/{arm}/csv", of_table(pd.read_csv(work / f"report-{arm}" / "trials.csv"))
+        text = (work / f"report-{arm}" / "trials.csv").read_text().replace(str(work), "")
+        csv = pd.read_csv(io.StringIO(text))
+        yield f"report/{arm}/csv", of_table(csv)
 
 
 def judged(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
-    """Second pass and verdict of modelled failures, both instruments, with the truth beside them."""
-    wanted = 3 if few else FAILURES
+    """Second pass and verdict of modelled failures by twin and by geometry, with the truth."""
+    n_wanted = 3 if few else FAILURES
     with ProcessPoolExecutor(2) as pool:
         first = 0
-        found = 0
-        while found < wanted:
+        n_found = 0
+        while n_found < n_wanted:
             jobs = [
                 Job(
                     "failures",
@@ -152,13 +165,13 @@ def judged(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
                     False,
                     False,
                 )
-                for k in range(first, first + wanted)
+                for k in range(first, first + n_wanted)
             ]
             for row in pool.map(judge, jobs):
-                if "twin" in row and found < wanted:
-                    found += 1
+                if "twin" in row and n_found < n_wanted:
+                    n_found += 1
                     yield f"judge/{row['index']}", row
-            first += wanted
+            first += n_wanted
 
 
 def simulated(work: Path, few: bool) -> Iterator[tuple[str, Any]]:
@@ -193,30 +206,30 @@ def main() -> None:
         "--against", type=Path, help="JSON of an earlier run; exit 1 where the values differ"
     )
     options = parser.parse_args()
-    found: dict[str, tuple[str, str]] = {}
+    parts: dict[str, tuple[str, str]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for part in options.only or PARTS:
             for name, value in PARTS[part](Path(folder), options.few):
-                found[name] = hashes(value)
-                print(f"{found[name][0]} {found[name][1]} {name}", flush=True)
+                parts[name] = hashes(value)
+                print(f"{parts[name][0]} {parts[name][1]} {name}", flush=True)
     values, texts = (
-        hashlib.sha256(json.dumps([(n, found[n][i]) for n in sorted(found)]).encode()).hexdigest()
+        hashlib.sha256(json.dumps([(n, parts[n][i]) for n in sorted(parts)]).encode()).hexdigest()
         for i in (0, 1)
     )
     print(f"values {values}\ntexts  {texts}")
     if options.write is not None:
-        options.write.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
+        options.write.write_text(json.dumps(parts, indent=1, sort_keys=True) + "\n")
     if options.against is None:
         return
     before = json.loads(options.against.read_text())
-    mine = {n: b for n, b in before.items() if n in found or not (options.only or options.few)}
+    relevant = {n: b for n, b in before.items() if n in parts or not (options.only or options.few)}
     differs = [
         n
-        for n in sorted({*mine, *found})
-        if n not in found or n not in mine or found[n][0] != mine[n][0]
+        for n in sorted({*relevant, *parts})
+        if n not in parts or n not in relevant or parts[n][0] != relevant[n][0]
     ]
-    reworded = [n for n in sorted(found) if n in mine and found[n][1] != mine[n][1]]
-    print(f"{len(found)} parts; values differ in {len(differs)}, sentences in {len(reworded)}")
+    reworded = [n for n in sorted(parts) if n in relevant and parts[n][1] != relevant[n][1]]
+    print(f"{len(parts)} parts; values differ in {len(differs)}, sentences in {len(reworded)}")
     for kind, names in (("values", differs), ("sentences", reworded)):
         for name in names:
             print(f"  {kind}: {name}")

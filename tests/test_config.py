@@ -1,4 +1,4 @@
-"""Catches: typos that pass in silence, a file that wins over the command line, a shown configuration that does not load."""
+"""Catches: an unknown key that is accepted, and a file that wins over the command line."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_defaults_are_the_papers_table_v() -> None:
 
 
 @pytest.mark.parametrize(
-    ("assignment", "said"),
+    ("assignment", "message"),
     [
         ("fusion.epsilom=0.02", "did you mean fusion.epsilon?"),
         ("fuson.epsilon=0.02", "did you mean fusion?"),
@@ -40,10 +40,10 @@ def test_defaults_are_the_papers_table_v() -> None:
         ("seed.x=1", "seed"),
     ],
 )
-def test_mistakes_are_named(assignment: str, said: str) -> None:
+def test_mistakes_are_named(assignment: str, message: str) -> None:
     with pytest.raises(UsageError) as caught:
         load_config("dynamic", (assignment,))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_command_line_wins_over_file_over_default(tmp_path: Path) -> None:

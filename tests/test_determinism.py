@@ -1,4 +1,7 @@
-"""Catches: draws that depend on order, digests that depend on row chunks, NaN payloads, the sign of zero, or text joins."""
+"""Catches: draws that depend on their order or on other frames.
+
+Also digests that depend on NaN payloads, the sign of zero, or joined texts.
+"""
 
 from __future__ import annotations
 

@@ -37,6 +37,8 @@ def test_every_dependency_is_pinned_for_ci() -> None:
         line.split("==")[0].lower().replace("_", "-")
         for line in (ROOT / "constraints.txt").read_text().splitlines()
     }
-    for wanted in project["dependencies"]:
-        name = wanted.split(";")[0].split(">")[0].split("=")[0].strip().lower().replace("_", "-")
+    for requirement in project["dependencies"]:
+        name = (
+            requirement.split(";")[0].split(">")[0].split("=")[0].strip().lower().replace("_", "-")
+        )
         assert name in pins or name == "open3d", name

@@ -1,4 +1,7 @@
-"""Catches: an internal error that leaves with 1 ("regression"), a lost traceback, a closed pipe that complains."""
+"""Catches: an internal error with exit code 1 ("regression"), a lost traceback.
+
+Also an error message where the reader of standard output closed the pipe.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ def test_every_command_has_the_boundary() -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "arguments"),
+    ("function", "arguments"),
     [
         (REPORT, ("report", "RUN")),
         (COMPARE, ("compare", "RUN", "RUN", "--out", "RUN/compared")),
@@ -56,18 +59,18 @@ def test_an_unforeseen_error_is_one_line_exit_4_and_a_traceback_in_the_log(
     demo_run: Path,
     demo: Path,
     tmp_path: Path,
-    place: str,
+    function: str,
     arguments: tuple[str, ...],
 ) -> None:
     run = tmp_path / "run"
     run.mkdir()
     for name in ("run.json", "trials.parquet", "timings.parquet", "review"):
         (run / name).symlink_to(demo_run / name)
-    monkeypatch.setattr(place, broken)
+    monkeypatch.setattr(function, broken)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    words = [a.replace("RUN", str(run)).replace("DEMO", str(demo)) for a in arguments]
-    done = CliRunner().invoke(app, words)
+    options = [a.replace("RUN", str(run)).replace("DEMO", str(demo)) for a in arguments]
+    done = CliRunner().invoke(app, options)
     assert done.exit_code == 4, done.output
     lines = done.stderr.splitlines()
     assert len(lines) == 1
@@ -79,7 +82,7 @@ def test_an_unforeseen_error_is_one_line_exit_4_and_a_traceback_in_the_log(
     entry = json.loads(log.read_text().splitlines()[-1])
     assert "Traceback" in entry["traceback"]
     assert "nobody foresaw this" in entry["traceback"]
-    if "--json" in words:
+    if "--json" in options:
         assert json.loads(done.stdout)["exit_code"] == 4
 
 
@@ -141,8 +144,8 @@ def test_a_crashed_trial_has_its_traceback_in_the_log(
     "arguments", [["--help"], ["config", "show"], ["inspect", "DEMO", "--json"]]
 )
 def test_a_closed_pipe_is_quiet(demo: Path, arguments: list[str]) -> None:
-    words = [str(demo) if a == "DEMO" else a for a in arguments]
-    command = [sys.executable, "-m", "dgeval", *words]
+    options = [str(demo) if a == "DEMO" else a for a in arguments]
+    command = [sys.executable, "-m", "dgeval", *options]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
@@ -154,6 +157,6 @@ def test_a_closed_pipe_is_quiet(demo: Path, arguments: list[str]) -> None:
 
 
 def test_the_table_of_exit_codes_is_told(dgeval: Dgeval) -> None:
-    told = " ".join(dgeval("--help").stdout.split())
+    help_text = " ".join(dgeval("--help").stdout.split())
     for code, meaning in EXIT_CODES.items():
-        assert f"{code} {meaning}" in told
+        assert f"{code} {meaning}" in help_text

@@ -1,5 +1,8 @@
-"""The rule that turns facts into a class, on its own. Catches: an order of questions that calls a push a collision though it
-did not matter, single lucky ticks taken for a window, thresholds compared the wrong way round."""
+"""The rule that turns facts into a class, on its own.
+
+Catches: a push that is called a collision though it did not matter, a single lucky close time that
+is taken for a window, thresholds compared the wrong way round.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,13 @@ def curve(*good: float) -> tuple[tuple[float, bool], ...]:
 
 def facts(**changed: object) -> Facts:
     values: dict[str, object] = {
-        "closed": True, "displacement_m": 0.0, "displacement_deg": 0.0, "curve": FAIL, "contact_s": None, "height_m": 0.0,
-    }  # fmt: skip
+        "closed": True,
+        "displacement_m": 0.0,
+        "displacement_deg": 0.0,
+        "curve": FAIL,
+        "contact_s": None,
+        "height_m": 0.0,
+    }
     return Facts(**{**values, **changed})  # type: ignore[arg-type]
 
 
@@ -60,7 +68,10 @@ def test_a_push_is_a_collision_only_if_it_mattered() -> None:
 
 
 def test_overlap_proves_nothing() -> None:
-    """An object put back into the hand: only closes before the contact, or a free pose near by, tell."""
+    """The object put back at the close overlaps the hand.
+
+    Then only closes before the contact, or a free pose nearby, decide.
+    """
     inside = {"displacement_m": 0.02, "contact_s": -0.3, "overlap_m": 0.01, "put_back": True}
     assert classify(facts(**inside)) == Needs("free_pose")
     assert classify(facts(**inside, free_pose=True)) == Verdict("collision", "displaced")

@@ -3,7 +3,7 @@ at their ends.
 
 Catches: `>` where `>=` is meant, a question asked of facts that don't need it, an overlapping
 object that is judged by being put back, runs joined over the recorded failure, the far end of a
-run taken for the near one. (`test_rule.py` has the order of the questions.)
+run taken for the near one. (`test_failure_rule.py` has the order of the questions.)
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def test_from_20_mm_on_it_was_lifted_and_lost(
     closed: bool, height_m: float, sub_cause: str
 ) -> None:
     """Catches `>` for `>=`, and missed taken for unstable."""
-    assert classify(facts(closed=closed, height_m=height_m)) == Verdict("imprecise_pose", sub_cause)  # type: ignore[arg-type]
+    assert classify(facts(closed=closed, height_m=height_m)) == Verdict("imprecise_pose", sub_cause)
 
 
 def test_pushes_without_effect_keep_missed_and_unstable_apart() -> None:

@@ -1,5 +1,7 @@
-"""Catches: a transposed rotation, a quaternion in the wrong order, interpolation the long way round, a plane moved by the
-inverse transform."""
+"""Catches: a transposed rotation, a quaternion in the wrong order, slerp along the longer arc.
+
+Also a plane moved by the inverse transform.
+"""
 
 from __future__ import annotations
 
@@ -49,11 +51,11 @@ def test_invert_undoes(a: np.ndarray, b: np.ndarray) -> None:
 def test_interpolation_agrees_with_scipy_slerp(a: np.ndarray, b: np.ndarray, alpha: float) -> None:
     angle = (Rotation.from_quat(a[3:]).inv() * Rotation.from_quat(b[3:])).magnitude()
     if angle > 3.1:
-        return  # two ways of equal length
-    got = g.interpolate_pose(a, b, alpha)
-    want = Slerp([0, 1], Rotation.from_quat([a[3:], b[3:]]))(alpha)
-    assert (Rotation.from_quat(got[3:]).inv() * want).magnitude() < 1e-6
-    assert np.allclose(got[:3], (1 - alpha) * a[:3] + alpha * b[:3])
+        return  # both arcs are about equally long
+    interpolated = g.interpolate_pose(a, b, alpha)
+    expected = Slerp([0, 1], Rotation.from_quat([a[3:], b[3:]]))(alpha)
+    assert (Rotation.from_quat(interpolated[3:]).inv() * expected).magnitude() < 1e-6
+    assert np.allclose(interpolated[:3], (1 - alpha) * a[:3] + alpha * b[:3])
 
 
 @given(st.lists(numbers, min_size=3, max_size=3))

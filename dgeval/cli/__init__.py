@@ -1,4 +1,7 @@
-"""The command line. Only here do we print and exit; each command imports what it needs when it runs."""
+"""The command line. Only this package prints and exits.
+
+Each command imports what it needs when it runs, so that `dgeval --help` starts fast.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,17 @@ set_thread_variables()  # before numpy is imported anywhere
 
 import typer  # noqa: E402
 
-from dgeval.cli import compare, config_show, inspect, regress, replay, report, simulate, train, view  # noqa: E402
+from dgeval.cli import (  # noqa: E402
+    compare,
+    config_show,
+    inspect,
+    regress,
+    replay,
+    report,
+    simulate,
+    train,
+    view,
+)
 from dgeval.cli.boundary import QuietPipe  # noqa: E402
 from dgeval.errors import EXIT_CODES  # noqa: E402
 
@@ -20,7 +33,7 @@ app = typer.Typer(
     help="Why did a dynamic grasp fail? Answers from the log alone.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # plain help: loading rich to format it would take longer than everything else
+    rich_markup_mode=None,  # plain help: importing rich takes longer than all the rest of --help
 )
 app.command("replay", epilog=replay.EXAMPLES)(replay.replay)
 app.command("report", epilog=report.EXAMPLES)(report.report)
@@ -55,6 +68,6 @@ def options(
 
 
 def main() -> None:
-    """What the script `dgeval` and `python -m dgeval` run."""
+    """Entry point of the script `dgeval` and of `python -m dgeval`."""
     sys.stdout = cast(TextIO, QuietPipe(sys.stdout))
     app(prog_name="dgeval")

@@ -1,4 +1,4 @@
-"""Where errors become one line on standard error and an exit code."""
+"""Turns every error of a command into one line on standard error and an exit code."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from dgeval.errors import EXIT_INTERNAL, EXIT_USAGE, DgevalError
 
 P = ParamSpec("P")
 R = TypeVar("R")
-LOG = "log.jsonl"
+LOG = "log.jsonl"  # file name in a run folder
 
 
 def command(function: Callable[P, R]) -> Callable[P, R]:
-    """Errors of a command in one line with their exit code.
+    """Decorator of a command: an error becomes one line on standard error and an exit code.
 
-    With `--json` the error is also a document on standard output. An error that nobody foresaw has exit code 4; its
-    traceback goes to `log.jsonl` in the command's folder (`--out`, else the first run folder), else in a temporary one.
+    With `--json` the error is also the one document on standard output. An unforeseen exception
+    gives exit code 4. Its traceback goes to `log.jsonl` in the folder of `--out`, else in the first
+    run folder that the command reads, else in a new temporary folder.
     """
 
     @wraps(function)
@@ -42,7 +43,9 @@ def command(function: Callable[P, R]) -> Callable[P, R]:
         except Exception as error:  # the boundary of the program
             log = write_traceback(error, function.__name__, _folder(kwargs))
             raise _exit(
-                f"internal error: {_told(error)}; the traceback is in {log}", EXIT_INTERNAL, as_json
+                f"internal error: {_one_line(error)}; the traceback is in {log}",
+                EXIT_INTERNAL,
+                as_json,
             ) from None
 
     return run
@@ -55,8 +58,8 @@ def _exit(message: str, code: int, as_json: bool) -> typer.Exit:
     return typer.Exit(code)
 
 
-def _told(error: BaseException) -> str:
-    """An error in one line: its type, what it says, and the line of code that raised it."""
+def _one_line(error: BaseException) -> str:
+    """An error in one line: its type, its message, and the line of code that raised it."""
     last = traceback.extract_tb(error.__traceback__)[-1:]
     where = f" at {Path(last[0].filename).name}:{last[0].lineno}" if last else ""
     lines = str(error).splitlines()
@@ -64,7 +67,7 @@ def _told(error: BaseException) -> str:
 
 
 def _folder(kwargs: dict[str, Any]) -> Path | None:
-    """The folder that a command writes to, or the first run folder that it reads."""
+    """The folder of --out, else the first run folder that the command reads, else None."""
     if isinstance(kwargs.get("out"), Path):
         return cast(Path, kwargs["out"])
     runs = kwargs.get("runs")
@@ -72,11 +75,14 @@ def _folder(kwargs: dict[str, Any]) -> Path | None:
 
 
 def write_traceback(error: BaseException, name: str, folder: Path | None) -> Path:
-    """Append a traceback to `log.jsonl` of a folder, or of a new temporary one; returns the file."""
+    """Append a traceback to `log.jsonl` and return that file.
+
+    It lies in `folder`, or in a new temporary folder where `folder` is None or can't be written.
+    """
     line = json.dumps(
         {
             "command": name,
-            "error": _told(error),
+            "error": _one_line(error),
             "traceback": "".join(traceback.format_exception(error)),
         }
     )
@@ -96,7 +102,10 @@ def _append(path: Path, line: str) -> Path:
 
 
 class QuietPipe:
-    """Standard output that goes nowhere once its reader has closed it, as in `dgeval inspect … | head`."""
+    """Standard output that discards what is written after its reader has closed the pipe.
+
+    So `dgeval inspect … | head` ends without a complaint.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -124,5 +133,5 @@ class QuietPipe:
 
 
 def print_json(value: Any) -> None:
-    """The one document on standard output."""
+    """Write the one JSON document of `--json` to standard output."""
     sys.stdout.write(json.dumps(value, indent=1) + "\n")

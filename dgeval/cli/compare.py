@@ -13,9 +13,11 @@ EXAMPLES = """\b
 Examples:
   dgeval compare runs/main runs/branch
   dgeval compare runs/main runs/branch --out compared --json
-  dgeval compare simulated/main simulated/branch        # folders of `dgeval simulate` with equal seeds: success, exactly
+  dgeval compare simulated/main simulated/branch        \
+# folders of `dgeval simulate` with equal seeds: success, exactly
 
-A success that turns into a failure in five of five changed trials is no proof yet (exact McNemar p = 0.06); six are.
+A success that turns into a failure in five of five changed trials is no proof yet (exact McNemar
+p = 0.06); six are.
 """
 
 
@@ -30,9 +32,11 @@ def compare(
         bool, typer.Option("--json", help="One JSON document on standard output.")
     ] = False,
 ) -> None:
-    """Where two runs first differ, what that led to, and whether the replay is better or worse, trial by trial.
+    """Where two runs first differ, what that led to, and whether the replay is better or worse,
+    trial by trial.
 
-    Answers are better, worse, same (by less than matters) or inconclusive, with the number of trials that would settle it.
+    Answers are better, worse, same (by less than matters) or inconclusive, with the number of
+    trials that would settle it.
     """
     from dgeval.compare.closed_loop import compare_campaigns
     from dgeval.compare.comparison import compare_runs
@@ -46,20 +50,21 @@ def compare(
             print_json(result)
         else:
             typer.echo(
-                f"{result['trials']} closed-loop trials on equal seeds: {result['old']} then {result['new']} succeed; "
-                f"{result['lost']} lost, {result['gained']} gained, exact McNemar p = {result['p']:.3f}: {result['answer']}"
+                f"{result['trials']} closed-loop trials on equal seeds: {result['old']} then "
+                f"{result['new']} succeed; {result['lost']} lost, {result['gained']} gained, exact "
+                f"McNemar p = {result['p']:.3f}: {result['answer']}"
             )
         return
-    c = compare_runs(read_run(old), read_run(new))
+    comparison = compare_runs(read_run(old), read_run(new))
     if out is not None:
         import json
 
-        write_atomically(out / "compare.html", as_html(c))
-        write_atomically(out / "compare.md", as_markdown(c))
-        write_atomically(out / "compare.json", json.dumps(as_json(c), indent=1))
+        write_atomically(out / "compare.html", as_html(comparison))
+        write_atomically(out / "compare.md", as_markdown(comparison))
+        write_atomically(out / "compare.json", json.dumps(as_json(comparison), indent=1))
     if json_:
-        print_json(as_json(c))
+        print_json(as_json(comparison))
         return
-    typer.echo(as_markdown(c).rstrip())
+    typer.echo(as_markdown(comparison).rstrip())
     if out is not None:
         typer.echo(f"\nlook: {out / 'compare.html'}")

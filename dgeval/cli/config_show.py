@@ -26,7 +26,8 @@ def show(
     set_: Annotated[list[str] | None, typer.Option("--set", help="section.key=value.")] = None,
     json_: Annotated[bool, typer.Option("--json", help="JSON instead of TOML.")] = False,
 ) -> None:
-    """Print the resolved configuration as TOML that `--pipeline` takes; parameters without a value as comments."""
+    """Print the resolved configuration as TOML that `--pipeline` takes; parameters without a value
+    as comments."""
     from dgeval.config import load_config
 
     config = load_config(pipeline, tuple(set_ or ()))
@@ -44,14 +45,14 @@ def _render(node: Any, path: str, lines: list[str], sections: list[str]) -> None
 
     from pydantic import BaseModel
 
-    for name, about in type(node).model_fields.items():
+    for name, field in type(node).model_fields.items():
         value = getattr(node, name)
-        where = f"{path}.{name}" if path else name
+        key = f"{path}.{name}" if path else name
         if isinstance(value, BaseModel):
-            inner: list[str] = ["", f"[{where}]"]
+            inner: list[str] = ["", f"[{key}]"]
             nested: list[str] = []
-            _render(value, where, inner, nested)
+            _render(value, key, inner, nested)
             sections += inner + nested if len(inner) > 2 else nested
             continue
         text = f"# {name} =" if value is None else f"{name} = {json.dumps(value)}"
-        lines.append(f"{text}  # {about.description}" if about.description else text)
+        lines.append(f"{text}  # {field.description}" if field.description else text)

@@ -13,11 +13,12 @@ EXAMPLES = """\b
 Examples:
   dgeval regress datasets/ci-smoke/ci-smoke.toml --baseline reports/baselines/ci-smoke.zip --jobs 2
   dgeval regress trials.toml --baseline main.zip --set registration.c_a_d=0.03
-  dgeval regress trials.toml --baseline main.zip --update --reason "ICP search radius 30 mm, see #12"
+  dgeval regress trials.toml --baseline main.zip --update \
+--reason "ICP search radius 30 mm, see #12"
 
-Exit codes: 0 passed, or undecided with a warning (inconclusive; facts of the log told differently) · 1 regression, or a
-baseline was written · 2 usage, a baseline of another data set or schema · 3 recordings are damaged or not those of the
-baseline · 4 internal error.
+Exit codes: 0 passed, or undecided with a warning (inconclusive; facts of the log told differently)
+· 1 regression, or a baseline was written · 2 usage, a baseline of another data set or schema
+· 3 recordings are damaged or not those of the baseline · 4 internal error.
 """
 
 
@@ -48,7 +49,8 @@ def regress(
         bool, typer.Option("--json", help="One JSON document on standard output.")
     ] = False,
 ) -> None:
-    """Replay a data set and hold it against a baseline: bytes first, then tolerances, then statistics over trials."""
+    """Replay a data set and hold it against a baseline: bytes first, then tolerances, then
+    statistics over trials."""
     import json
     import os
     import tempfile
@@ -90,7 +92,8 @@ def regress(
             for message in result.messages:
                 typer.echo(f"{result.id}: {message}", err=True)
 
-        # never what lies there from before: code that changed under the same version is what the gate is for
+        # force=True: a finished trial in `out` may come from other code of the same version, and
+        # such a change of code is what the gate is there to find
         results = replay_trials(specs, config, out, None, True, jobs, on_result, hashes=hashes)
         return finish_run(out, results, config)
 
@@ -115,7 +118,7 @@ def regress(
         hashes = {s.id: sha256_of(s.recording) for s in specs}
         check_recordings(about, hashes, baseline)
         code = replay(hashes)
-        c, passed, said = gate(before, read_run(out), fail_on == "inconclusive")
+        c, passed, message = gate(before, read_run(out), fail_on == "inconclusive")
         for field, a, b in c.config:
             typer.echo(f"config differs from the baseline's: {field}: {a} -> {b}", err=True)
         for d in c.differences:
@@ -126,7 +129,7 @@ def regress(
                     c.new.frames(d.trial),
                     d,
                 )
-        write_atomically(out / "junit.xml", junit(c, passed, said, name))
+        write_atomically(out / "junit.xml", junit(c, passed, message, name))
         page = as_markdown(c)
         write_atomically(out / "regress.md", page)
         write_atomically(out / "regress.html", as_html(c))
@@ -135,14 +138,15 @@ def regress(
             with Path(summary).open("a", encoding="utf-8") as file:
                 file.write(page + "\n")
     if json_:
-        print_json({**as_json(c), "passed": passed, "said": said})
+        print_json({**as_json(c), "passed": passed, "said": message})
     else:
-        typer.echo(f"{'passed' if passed else 'FAILED'}: {c.conclusion}: {said}")
+        typer.echo(f"{'passed' if passed else 'FAILED'}: {c.conclusion}: {message}")
         for r in c.results:
             if r.answer in ("worse", "inconclusive", "better"):
                 settle = f"; some {r.needed} trials would settle it" if r.needed else ""
                 typer.echo(
-                    f"  {r.metric.name}: {r.answer}, {r.old:.4g} -> {r.new:.4g} {r.metric.unit}, p = {r.p:.3f}{settle}"
+                    f"  {r.metric.name}: {r.answer}, {r.old:.4g} -> {r.new:.4g} {r.metric.unit}, p "
+                    f"= {r.p:.3f}{settle}"
                 )
         if c.differences:
             typer.echo(f"look: {out / 'regress.html'}")
@@ -152,19 +156,22 @@ def regress(
 
 
 def _refuse_uncommitted() -> None:
-    """A baseline must belong to a commit. Outside a repository there is nothing to refuse."""
+    """UsageError where git reports uncommitted changes: a baseline belongs to a commit.
+
+    Outside a repository, or without git, nothing is refused.
+    """
     import subprocess
 
     from dgeval.errors import UsageError
 
     try:
-        found = subprocess.run(
+        status = subprocess.run(
             ["git", "status", "--porcelain"], capture_output=True, text=True, check=False
         )
     except FileNotFoundError:
         return
-    if found.returncode == 0 and found.stdout.strip():
-        first = found.stdout.splitlines()[0].strip()
+    if status.returncode == 0 and status.stdout.strip():
+        first = status.stdout.splitlines()[0].strip()
         raise UsageError(
             f"there are uncommitted changes ({first}, …)",
             hint="commit first: a baseline belongs to a commit",

@@ -57,7 +57,8 @@ def replay(
         bool, typer.Option("--json", help="One JSON document on standard output, nothing else.")
     ] = False,
 ) -> None:
-    """Replay recordings through the perception and control stages and write tables and review recordings."""
+    """Replay recordings through the perception and control stages and write tables and review
+    recordings."""
     from dgeval.config import load_config
     from dgeval.errors import UsageError
     from dgeval.recording.manifest import find_trials
@@ -93,12 +94,12 @@ def replay(
             writer,
             force,
             jobs,
-            on_result=_both(on_result, bar.trial),
+            on_result=_call_both(on_result, bar.trial),
             progress=bar.frame,
         )
     code = finish_run(out, results, config)
     if check_determinism:
-        _check(specs, config, jobs, results)
+        _check_determinism(specs, config, jobs, results)
     if json_:
         print_json(
             {
@@ -115,8 +116,11 @@ def replay(
     raise typer.Exit(code)
 
 
-def _check(specs: Any, config: Any, jobs: int, results: Any) -> None:
-    """Replay once more into a temporary folder, in processes of their own, and compare stage by stage."""
+def _check_determinism(specs: Any, config: Any, jobs: int, results: Any) -> None:
+    """Replay the trials again into a temporary folder and compare the digests of every stage.
+
+    NotDeterministicError where a digest differs.
+    """
     import tempfile
 
     from dgeval.errors import NotDeterministicError
@@ -125,7 +129,7 @@ def _check(specs: Any, config: Any, jobs: int, results: Any) -> None:
 
     hashes = {r.id: r.sha256 for r in results if r.sha256 is not None}
     with tempfile.TemporaryDirectory() as folder:
-        again = replay_trials(
+        repeated = replay_trials(
             specs,
             config,
             Path(folder),
@@ -135,7 +139,7 @@ def _check(specs: Any, config: Any, jobs: int, results: Any) -> None:
             on_result=lambda _: None,
             hashes=hashes,
         )
-    for first, second in zip(results, again, strict=True):
+    for first, second in zip(results, repeated, strict=True):
         if (first.row is None) != (second.row is None):
             raise NotDeterministicError(f"trial {first.id} could be replayed once only")
         if first.row is None or second.row is None:
@@ -161,7 +165,10 @@ def _print_summary(out: Path, results: Any, review: bool) -> None:
         if row["notes"]:
             typer.echo(f"  notes: {row['notes']}")
         if r.review:
-            size = f"{r.review['bytes'] / 1e6:.1f} MB, the colour images alone {r.review['image_bytes'] / 1e6:.1f} MB"
+            size = (
+                f"{r.review['bytes'] / 1e6:.1f} MB, the colour images alone "
+                f"{r.review['image_bytes'] / 1e6:.1f} MB"
+            )
             typer.echo(f"  review: {size}")
     typer.echo(f"tables: {out}")
     if review and any(r.row for r in results):
@@ -191,7 +198,7 @@ def _range(text: str) -> tuple[int, int]:
     return int(a), int(b)
 
 
-def _both(first: Any, second: Any) -> Any:
+def _call_both(first: Any, second: Any) -> Any:
     def call(result: Any) -> None:
         first(result)
         second(result)
@@ -200,7 +207,10 @@ def _both(first: Any, second: Any) -> Any:
 
 
 class _progress:
-    """Bars on standard error: frames within a trial, and trials. Silent where standard error is not a terminal."""
+    """Progress bars on standard error: frames within a trial, and trials.
+
+    Silent where standard error is not a terminal.
+    """
 
     def __init__(self, n_trials: int) -> None:
         self._n = n_trials

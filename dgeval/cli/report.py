@@ -33,7 +33,8 @@ def report(
         bool, typer.Option("--json", help="One JSON document on standard output.")
     ] = False,
 ) -> None:
-    """Success with intervals, causes of failure, pictures and plots of finished runs, in one HTML file that needs no network.
+    """Success with intervals, causes of failure, pictures and plots of finished runs, in one HTML
+    file that needs no network.
 
     Beside it: report.md, trials.csv, and the figures as PNG and SVG.
     """

@@ -23,8 +23,8 @@ def simulate(
     scenario: Annotated[
         str,
         typer.Argument(
-            help="conveyor, handover, conveyor-analytic, static, failures, ci-smoke, table-clearing, turntable, "
-            "vfas-handover, a FILE.toml, or a manifest."
+            help="conveyor, handover, conveyor-analytic, static, failures, ci-smoke, "
+            "table-clearing, turntable, vfas-handover, a FILE.toml, or a manifest."
         ),
     ],
     out: Annotated[
@@ -58,51 +58,54 @@ def simulate(
         bool, typer.Option("--json", help="One JSON document on standard output, nothing else.")
     ] = False,
 ) -> None:
-    """Simulate grasping trials with faults on purpose; write recordings, what is true of them, and a manifest."""
+    """Simulate grasping trials with faults on purpose; write recordings, what is true of them, and
+    a manifest."""
     from dgeval.errors import UsageError
     from dgeval.simulation.campaign import Campaign, platform_name, run_campaign
     from dgeval.simulation.scenario import load_manifest, load_scenario
 
     if format_ not in ("mcap", "bag", "db3"):
         raise UsageError(f"--format {format_!r}", hint="mcap, bag or db3")
-    made_from = load_manifest(Path(scenario)) if scenario.endswith(".toml") else None
-    loaded = load_scenario(made_from.scenario if made_from else scenario)
+    manifest = load_manifest(Path(scenario)) if scenario.endswith(".toml") else None
+    loaded = load_scenario(manifest.scenario if manifest else scenario)
     folder = out or Path("runs") / loaded.name
     campaign = Campaign(
         loaded,
-        made_from.seed if made_from else seed,
+        manifest.seed if manifest else seed,
         trials or loaded.trials,
         folder,
         meshes,
         blame,
-        tuple(made_from.indices) if made_from else None,
+        tuple(manifest.indices) if manifest else None,
         images,
         format_,
     )
     with _progress() as progress:
         pairs = run_campaign(campaign, jobs, progress)
-    wrong = []
-    if made_from is not None:
-        made = {r["id"]: r["sha256"] for _, r in pairs if r}
-        wrong = [
+    differences = []
+    if manifest is not None:
+        sha256_of = {r["id"]: r["sha256"] for _, r in pairs if r}
+        differences = [
             f"{i}: not the recording the manifest names"
-            for i, sha in made_from.sha256.items()
-            if made.get(i, sha) != sha
+            for i, sha in manifest.sha256.items()
+            if sha256_of.get(i, sha) != sha
         ]
-    here = made_from is not None and made_from.platform == platform_name()
+    same_platform = manifest is not None and manifest.platform == platform_name()
     if json_:
         print_json(
             {
                 "out": str(folder),
                 "trials": [{**t, "recording": r} for t, r in pairs],
-                "differences": wrong,
+                "differences": differences,
             }
         )
-        raise typer.Exit(3 if wrong and here else 0)
+        raise typer.Exit(3 if differences and same_platform else 0)
     _summary(pairs, folder, loaded.name, images)
-    for line in wrong:
-        typer.echo(f"{'error' if here else 'warning (another platform)'}: {line}", err=True)
-    raise typer.Exit(3 if wrong and here else 0)
+    for line in differences:
+        typer.echo(
+            f"{'error' if same_platform else 'warning (another platform)'}: {line}", err=True
+        )
+    raise typer.Exit(3 if differences and same_platform else 0)
 
 
 def _summary(pairs: Any, folder: Path, name: str, images: bool) -> None:
@@ -122,7 +125,7 @@ def _summary(pairs: Any, folder: Path, name: str, images: bool) -> None:
 
 
 def _progress() -> Any:
-    """A bar per phase where a person is watching, a line per trial elsewhere."""
+    """A progress bar per phase where standard error is a terminal, else a line per trial."""
     from contextlib import contextmanager
 
     @contextmanager
@@ -132,25 +135,25 @@ def _progress() -> Any:
         if not sys.stderr.isatty():
 
             def line(phase: str, done: int, total: int, result: dict[str, Any]) -> None:
-                what = (
+                outcome = (
                     f": {result['verdict']['failure_class'] or 'success'}"
                     if phase == "simulate"
                     else ""
                 )
-                typer.echo(f"{phase} {done}/{total} {result['id']}{what}", err=True)
+                typer.echo(f"{phase} {done}/{total} {result['id']}{outcome}", err=True)
 
             yield line
             return
         from rich.console import Console
         from rich.progress import Progress
 
-        with Progress(console=Console(stderr=True)) as shown:
+        with Progress(console=Console(stderr=True)) as progress:
             tasks: dict[str, Any] = {}
 
             def step(phase: str, done: int, total: int, _: dict[str, Any]) -> None:
                 if phase not in tasks or done == 1:
-                    tasks[phase] = shown.add_task(phase, total=total)
-                shown.update(tasks[phase], completed=done)
+                    tasks[phase] = progress.add_task(phase, total=total)
+                progress.update(tasks[phase], completed=done)
 
             yield step
 

@@ -68,7 +68,8 @@ def train(
         bool, typer.Option("--json", help="One JSON document on standard output.")
     ] = False,
 ) -> None:
-    """Make grasps in physics, train the networks on them, calibrate, and measure on objects held out."""
+    """Make grasps in physics, train the networks on them, calibrate, and measure on objects held
+    out."""
     from rich.console import Console
     from rich.progress import Progress
 
@@ -83,9 +84,9 @@ def train(
         def progress(phase: str, step: int, terms: dict[str, float]) -> None:
             if phase not in tasks:
                 tasks[phase] = bar.add_task(phase, total=totals[phase])
-            said = ", ".join(f"{k} {v:.3f}" for k, v in terms.items())
+            text = ", ".join(f"{k} {v:.3f}" for k, v in terms.items())
             bar.update(
-                tasks[phase], completed=step, description=f"{phase}: {said}" if said else phase
+                tasks[phase], completed=step, description=f"{phase}: {text}" if text else phase
             )
 
         if network == "ffhnet":
@@ -123,13 +124,18 @@ def _ffhnet(
     from dgeval.training.grasp_data import write_grasps
     from dgeval.training.ship import train_all
 
-    own = {"generator_steps": steps * 16 // 13, "tune_steps": steps * 5 // 13}
+    step_counts = {"generator_steps": steps * 16 // 13, "tune_steps": steps * 5 // 13}
     totals.update(
-        grasps=objects, generator=own["generator_steps"], evaluator=steps, evaluator_fingers=steps
+        grasps=objects,
+        generator=step_counts["generator_steps"],
+        evaluator=steps,
+        evaluator_fingers=steps,
     )
-    totals["tuning"] = own["tune_steps"]
-    settings = Settings(views=views, steps=steps, seed=seed, held_out=min(9, objects // 3), **own)
-    made = iter(range(1, objects + 1))
+    totals["tuning"] = step_counts["tune_steps"]
+    settings = Settings(
+        views=views, steps=steps, seed=seed, held_out=min(9, objects // 3), **step_counts
+    )
+    counter = iter(range(1, objects + 1))
     make = partial(write_grasps, out=out / "grasps", seed=seed, tried=tried)
-    write_all(make, range(objects), jobs, lambda _: progress("grasps", next(made), {}))
+    write_all(make, range(objects), jobs, lambda _: progress("grasps", next(counter), {}))
     return train_all(out, objects, settings, tried, jobs, progress)

@@ -34,9 +34,11 @@ def view(
     name = file_name(trial)
     file = run / "review" / f"{name}.rrd"
     if not file.is_file():
-        known = sorted(p.stem for p in (run / "review").glob("*.rrd"))
+        reviews = sorted(p.stem for p in (run / "review").glob("*.rrd"))
         listed = (
-            f"reviews here: {', '.join(known)}" if known else "this run was made with --no-review"
+            f"reviews here: {', '.join(reviews)}"
+            if reviews
+            else "this run was made with --no-review"
         )
         raise UsageError(f"no review of trial {trial!r}", Place(str(run)), listed)
     if path:

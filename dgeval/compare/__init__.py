@@ -1,1 +1,1 @@
-"""Two runs of the same trials: where they first differ, what that led to, and whether it is better or worse."""
+"""Comparison of two runs of the same trials: the first difference, its effect, better or worse."""

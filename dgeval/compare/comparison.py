@@ -1,4 +1,4 @@
-"""Two runs side by side: what differs first, which facts of the log are told differently, which replay is the better."""
+"""Two runs side by side: the first difference, changed facts of the log, the better replay."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from dgeval.geometry import Array
 from dgeval.runs.results import Run
 from dgeval.schema import SCHEMA_VERSION, STAGES
 
-# What the log says about the world. New code should not change it; where it does, one of the two is wrong.
+# Columns of the trial table that state facts of the log. New code should not change them; where
+# it does, one of the two runs is wrong.
 FACTS = (
     "outcome",
     "outcome_source",
@@ -33,10 +34,13 @@ Conclusion = Literal[
 
 @dataclass(frozen=True)
 class Comparison:
-    """Run `new` against run `old`. values: METRICS by name, old and new, in the order of `trials`.
+    """Run `new` against run `old`.
 
-    config: field, old and new value. facts: trial, fact, old and new. timings: stage, factor, p. Where every digest is
-    equal, values and results are empty: there is nothing to measure.
+    trials: ids in both runs, sorted. config, versions: (field, old value, new value) of each
+    difference. facts: (trial, column of FACTS, old value, new value) of each difference. values:
+    (n,) arrays of METRICS by name, of the old and of the new run, in the order of `trials`.
+    timings: (stage, factor of the median time, p). Where every digest is equal, `values` and
+    `results` are empty: there is nothing to measure.
     """
 
     old: Run
@@ -54,24 +58,26 @@ class Comparison:
 
     @property
     def conclusion(self) -> Conclusion:
-        """The worst that is said of any metric, where anything differs at all beyond the last bits.
+        """The worst answer of any metric, where a difference is beyond its tolerance.
 
-        Facts of the log that are told differently are a disagreement, also where every stage gives the same bytes (the
-        verdict changed): one of the two runs is wrong, and no metric says which.
+        A changed fact of the log is a disagreement, also where every stage gives the same bytes
+        (then the verdict changed): one of the two runs is wrong, and no metric says which.
         """
-        said = {r.answer for r in self.results if any(not d.within for d in self.differences)}
-        if self.facts and "worse" not in said:
+        metric_answers = {
+            r.answer for r in self.results if any(not d.within for d in self.differences)
+        }
+        if self.facts and "worse" not in metric_answers:
             return "disagreement"
         if not self.differences:
             return "identical"
-        if not said:
+        if not metric_answers:
             return "within tolerance"
         order: tuple[Conclusion, ...] = ("worse", "inconclusive", "better", "same")
-        return next(answer for answer in order if answer in said or answer == "same")
+        return next(answer for answer in order if answer in metric_answers or answer == "same")
 
     @property
     def first(self) -> TrialDifference | None:
-        """The earliest difference of all: by frame, then stage, then trial."""
+        """The earliest difference: by frame, then stage, then trial; beyond tolerance if any is."""
         beyond = [d for d in self.differences if not d.within] or list(self.differences)
         return min(
             beyond,
@@ -81,10 +87,17 @@ class Comparison:
 
 
 def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
-    """Trials paired by id. UsageError where the runs have no trial in common or tables of another version."""
+    """Compare two runs, trials paired by id.
+
+    alpha: level of the metrics' tests. UsageError where the runs have no trial in common, or where
+    the tables of a run have another schema version.
+    """
     for run in (old, new):
         if run.about["schema_version"] != SCHEMA_VERSION:
-            what = f"{run.folder}: tables of schema {run.about['schema_version']}, this dgeval compares {SCHEMA_VERSION}"
+            what = (
+                f"{run.folder}: tables of schema {run.about['schema_version']}, this dgeval "
+                f"compares {SCHEMA_VERSION}"
+            )
             raise UsageError(what, hint="replay the recordings again with this version")
     rows = [run.trials.set_index("trial") for run in (old, new)]
     trials = sorted(set(rows[0].index) & set(rows[1].index))
@@ -96,14 +109,14 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
     differences: list[TrialDifference] = []
     facts: list[tuple[str, str, Any, Any]] = []
     before, after = [], []
-    unchanged = all(
+    same_digests = all(
         (rows[0].loc[trials, f"digest_{s}"] == rows[1].loc[trials, f"digest_{s}"]).all()
         for s in STAGES
     )
     for trial in trials:
         a, b = rows[0].loc[trial], rows[1].loc[trial]
         facts += [(trial, fact, a[fact], b[fact]) for fact in FACTS if not _equal(a[fact], b[fact])]
-        if unchanged:
+        if same_digests:
             continue
         hindsight = old.hindsight(trial)
         close_ns = None if pd.isna(a["t_close_ns"]) else int(a["t_close_ns"])
@@ -111,10 +124,10 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
         before.append(trial_metrics(frames, hindsight, close_ns))
         after.append(before[-1])
         if any(a[f"digest_{s}"] != b[f"digest_{s}"] for s in STAGES):
-            other = new.frames(trial)
-            if (found := difference(trial, frames, other)) is not None:
-                differences.append(found)
-                after[-1] = trial_metrics(other, hindsight, close_ns)
+            new_frames = new.frames(trial)
+            if (trial_difference := difference(trial, frames, new_frames)) is not None:
+                differences.append(trial_difference)
+                after[-1] = trial_metrics(new_frames, hindsight, close_ns)
     values = tuple(
         {m.name: np.array([row[m.name] for row in side]) for m in METRICS}
         for side in (before, after)
@@ -139,7 +152,10 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
 def changed(
     old: dict[str, Any], new: dict[str, Any], prefix: str = ""
 ) -> list[tuple[str, Any, Any]]:
-    """Fields of nested dictionaries that are not equal: dotted name, old and new value (None where there is none)."""
+    """Fields of nested dictionaries that are not equal: (dotted name, old value, new value).
+
+    A value is None where the field is missing.
+    """
     out = []
     for key in sorted(set(old) | set(new)):
         a, b = old.get(key), new.get(key)
@@ -151,10 +167,12 @@ def changed(
 
 
 def _equal(a: Any, b: Any) -> bool:
+    """Equal values; two nulls are equal."""
     return bool(a == b) or bool(pd.isna(a) and pd.isna(b))
 
 
 def _timings(old: Run, new: Run, trials: list[str]) -> list[tuple[str, float, float]]:
+    """By stage: factor of the median time per frame, new over old, and p (see paired.timing)."""
     kept = [run.timings[run.timings["trial"].isin(trials)] for run in (old, new)]
     out = []
     for stage in kept[0]["stage"].drop_duplicates():

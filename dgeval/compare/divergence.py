@@ -1,4 +1,4 @@
-"""Where two replays of a trial first differ, and which differences are only the last bits."""
+"""Where two replays of a trial first differ, and which differences are only rounding."""
 
 from __future__ import annotations
 
@@ -14,16 +14,23 @@ from dgeval.schema import FRAMES, STAGES, Column
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """A difference up to max(absolute, relative of the old value) is not one. `reason`: why that much."""
+    """The largest difference that counts as none: max(absolute, relative * |old value|).
+
+    absolute: in the unit of the column. reason: why this size.
+    """
 
     absolute: float
     relative: float
     reason: str
 
 
-LAST_BITS = "other processors and library versions round differently; sensors are thousands of times coarser"
+LAST_BITS = (
+    "other processors and library versions round differently; sensors are thousands of times "
+    "coarser"
+)
 BORDER = "a point that lies on a threshold may fall on either side of it"
 EXACT = Tolerance(0.0, 0.0, "words and flags are equal or not")
+# Tolerance of a column by its unit; `absolute` in that unit
 BY_UNIT = {
     "m": Tolerance(1e-6, 0.0, LAST_BITS),
     "m/s": Tolerance(1e-6, 0.0, LAST_BITS),
@@ -33,6 +40,7 @@ BY_UNIT = {
     "points": Tolerance(1.0, 0.005, BORDER),
     "": Tolerance(1e-6, 0.0, LAST_BITS),
 }
+# Tolerance of columns whose unit alone does not fix it
 BY_NAME = {
     "frame": EXACT,
     "n_grasps": EXACT,
@@ -50,7 +58,11 @@ def tolerance_of(column: Column) -> Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class Divergence:
-    """The first difference of one trial: in which frame, stage and field, and both values (None: null)."""
+    """The first difference of one trial.
+
+    frame: index in the trial. field: column of the frame table, or n_frames. old, new: the values;
+    None is null.
+    """
 
     trial: str
     frame: int
@@ -60,12 +72,19 @@ class Divergence:
     new: Any
 
     def __str__(self) -> str:
-        return f"{self.trial}: frame {self.frame}, stage {self.stage}, {self.field}: {_shown(self.old)} -> {_shown(self.new)}"
+        return (
+            f"{self.trial}: frame {self.frame}, stage {self.stage}, {self.field}: "
+            f"{_shown(self.old)} -> {_shown(self.new)}"
+        )
 
 
 @dataclass(frozen=True)
 class TrialDifference:
-    """What differs in one trial. stages: differing frames by stage; within: all differences are within tolerance."""
+    """What differs in one trial.
+
+    stages: number of differing frames by stage. within: all differences are within tolerance.
+    n_frames: of the old and of the new replay.
+    """
 
     trial: str
     first: Divergence
@@ -75,25 +94,26 @@ class TrialDifference:
 
 
 def difference(trial: str, old: pd.DataFrame, new: pd.DataFrame) -> TrialDifference | None:
-    """Frame by frame over the version-1 columns, stages in the order of the pipeline; None where nothing differs.
+    """Compare two frame tables over the version-1 columns; None where nothing differs.
 
-    The first difference beyond tolerance is given, or the first of all where none is beyond it.
+    The first difference is by frame, then by stage in the order of the pipeline. It is the first
+    beyond tolerance, or the first of all where none is beyond it.
     """
     n = min(len(old), len(new))
-    any_, beyond = {}, {}
+    unequal, beyond = {}, {}
     for column in FRAMES:
-        any_[column.name], beyond[column.name] = _differs(
+        unequal[column.name], beyond[column.name] = _differs(
             old[column.name].iloc[:n], new[column.name].iloc[:n], column
         )
     within = len(old) == len(new) and not any(v.any() for v in beyond.values())
-    told = any_ if within else beyond
+    differing = unequal if within else beyond
     first: tuple[int, int, int] | None = None
     stages = {}
     for s, stage in enumerate(STAGES):
         columns = [c for c in FRAMES if c.stage == stage]
         frames = np.zeros(n, bool)
         for k, column in enumerate(columns):
-            at = told[column.name]
+            at = differing[column.name]
             frames |= at
             if at.any() and (first is None or (int(np.argmax(at)), s, k) < first):
                 first = int(np.argmax(at)), s, k
@@ -102,14 +122,14 @@ def difference(trial: str, old: pd.DataFrame, new: pd.DataFrame) -> TrialDiffere
     if first is None:
         if len(old) == len(new):
             return None
-        ends = Divergence(trial, n, "input", "n_frames", len(old), len(new))
+        divergence = Divergence(trial, n, "input", "n_frames", len(old), len(new))
         return TrialDifference(
-            trial, ends, {"input": abs(len(old) - len(new))}, False, (len(old), len(new))
+            trial, divergence, {"input": abs(len(old) - len(new))}, False, (len(old), len(new))
         )
-    where, s, k = first
+    row, s, k = first
     name = [c for c in FRAMES if c.stage == STAGES[s]][k].name
-    values = [None if pd.isna(v) else v for v in (old[name].iloc[where], new[name].iloc[where])]
-    frame = int(old["frame"].iloc[where])
+    values = [None if pd.isna(v) else v for v in (old[name].iloc[row], new[name].iloc[row])]
+    frame = int(old["frame"].iloc[row])
     return TrialDifference(
         trial,
         Divergence(trial, frame, STAGES[s], name, *values),
@@ -122,19 +142,19 @@ def difference(trial: str, old: pd.DataFrame, new: pd.DataFrame) -> TrialDiffere
 def _differs(
     old: pd.Series[Any], new: pd.Series[Any], column: Column
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Per frame: differs at all, differs beyond the tolerance. Null equals null, NaN equals NaN."""
+    """Per frame (n,): differs at all; differs beyond the tolerance. Null equals null, NaN NaN."""
     null = old.isna().to_numpy(), new.isna().to_numpy()
     both = ~null[0] & ~null[1]
-    out = np.asarray(null[0] != null[1])
-    beyond = out.copy()
+    differs = np.asarray(null[0] != null[1])
+    beyond = differs.copy()
     if column.kind in ("bool", "str"):
         unequal = both & np.array([bool(a != b) for a, b in zip(old, new, strict=True)])
-        return out | unequal, beyond | unequal
+        return differs | unequal, beyond | unequal
     a, b = (np.where(both, v.to_numpy(dtype=float, na_value=np.nan), 0.0) for v in (old, new))
     tolerance = tolerance_of(column)
-    off = np.abs(a - b)
-    return out | (off > 0), beyond | (
-        off > np.maximum(tolerance.absolute, tolerance.relative * np.abs(a))
+    error = np.abs(a - b)
+    return differs | (error > 0), beyond | (
+        error > np.maximum(tolerance.absolute, tolerance.relative * np.abs(a))
     )
 
 

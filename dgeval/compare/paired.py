@@ -1,4 +1,7 @@
-"""Is a change better or worse: paired tests over trials, corrected for many metrics, with an honest third answer."""
+"""Is a change better or worse: tests paired over trials, corrected for the number of metrics.
+
+Where the trials don't decide it, the answer is `inconclusive`.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +16,19 @@ from scipy.stats import binomtest, mannwhitneyu, norm, rankdata, wilcoxon
 
 from dgeval.geometry import Array
 
-ALPHA = 0.05  # of the whole gate: the chance of any false "worse" or "better" where nothing changed
-EXACT = 13  # pairs up to which all signs are tried
-POWER = 0.8  # with which the number of trials that would settle it is planned
+# Level of the whole gate: probability of any false "worse" or "better" where nothing changed
+ALPHA = 0.05
+EXACT = 13  # pairs; up to so many, the signed-rank test goes through all 2^n signs
+POWER = 0.8  # probability with which trials_needed plans to find a relevant difference
 Answer = Literal["better", "worse", "same", "inconclusive"]
 
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A number per trial. relevant: the smallest difference that matters; a smaller one is `same`."""
+    """A number per trial.
+
+    relevant: the smallest difference that matters, in `unit`; a smaller one is `same`.
+    """
 
     name: str
     unit: str
@@ -30,7 +37,8 @@ class Metric:
     meaning: str
 
 
-# Replay quality (DESIGN section 6). The reference is the baseline's hindsight for both runs: it is a fact of the log.
+# Replay quality (DESIGN section 6). Both runs are measured against the hindsight of the baseline,
+# which is a fact of the log.
 METRICS = (
     Metric("lost", "", True, 0.02, "share of frames in which the tracker had lost the target"),
     Metric("predicted", "", True, 0.02, "share of frames without an accepted registration"),
@@ -62,33 +70,36 @@ METRICS = (
 def trial_metrics(
     frames: pd.DataFrame, hindsight: pd.DataFrame | None, close_ns: int | None
 ) -> dict[str, float]:
-    """METRICS of one trial; NaN where there is nothing to measure. frames, hindsight: tables of that trial."""
+    """METRICS of one trial by name, in their units; NaN where there is nothing to measure.
+
+    frames, hindsight: tables of that trial. close_ns: stamp of the recorded close, or None.
+    """
     out = dict.fromkeys((m.name for m in METRICS), math.nan)
     out["lost"] = float((frames["tracking"] == "lost").mean())
     out["predicted"] = float(frames["predicted"].fillna(True).astype(bool).mean())
     fitness = frames["icp_gate_fitness"].dropna()
     if len(fitness):
         out["gate_fitness"] = float(fitness.median())
-    fired = frames.loc[frames["execute"].fillna(False).astype(bool), "t_ns"]
-    if close_ns is not None and len(fired):
-        out["close_time"] = abs(int(fired.iloc[0]) - close_ns) * 1e-9
+    execute_ns = frames.loc[frames["execute"].fillna(False).astype(bool), "t_ns"]
+    if close_ns is not None and len(execute_ns):
+        out["close_time"] = abs(int(execute_ns.iloc[0]) - close_ns) * 1e-9
     path = None if hindsight is None else hindsight[hindsight["by"] == "path"]
     if path is None or len(path) < 10:
         return out
     t = path["t_ns"].to_numpy(dtype=np.int64)
-    seconds = (t - t[0]) * 1e-9
-    places = path[["object_px", "object_py", "object_pz"]].to_numpy(dtype=float)
-    velocity = np.polyfit(seconds, places, 1)[0]
+    t_s = (t - t[0]) * 1e-9
+    positions = path[["object_px", "object_py", "object_pz"]].to_numpy(dtype=float)
+    velocity = np.polyfit(t_s, positions, 1)[0]
     joined = frames.set_index("frame").loc[path["frame"]]
     estimated = joined[["velocity_x", "velocity_y", "velocity_z"]].to_numpy(
         dtype=float, na_value=np.nan
     )
     if np.isfinite(estimated).any():
         out["velocity_error"] = float(np.nanmedian(np.linalg.norm(estimated - velocity, axis=1)))
-    # the path does not turn: where the feature point lies from the model's origin is the same all along
+    # the path has no rotation: the offset of the feature point from the model's origin is constant
     offset = (
         joined[["feature_px", "feature_py", "feature_pz"]].to_numpy(dtype=float, na_value=np.nan)
-        - places
+        - positions
     )
     if np.isfinite(offset).any():
         out["position_error"] = float(
@@ -99,9 +110,11 @@ def trial_metrics(
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """Of one metric: over n trials, median old and new, median difference with its interval, p corrected by Holm.
+    """Answer for one metric over n trials, in the unit of the metric.
 
-    needed: trials that would settle it, None where it is settled or no number would.
+    old, new: medians over trials. difference: median of the paired differences new - old, with its
+    interval low to high. p: of the signed-rank test, corrected by Holm. needed: number of trials
+    that would decide it; None where it is decided or no number would.
     """
 
     metric: Metric
@@ -117,30 +130,32 @@ class Result:
 
 
 def answers(old: dict[str, Array], new: dict[str, Array], alpha: float = ALPHA) -> list[Result]:
-    """Paired by trial, NaN left out. old, new: (n,) values by metric in the same order of trials.
+    """Answer for each metric of METRICS that at least one trial has in both runs.
 
-    Wilcoxon's signed-rank test with Holm's correction says better or worse; an interval of the median difference (the
-    test's own, by Walsh averages) inside what is relevant says same; else it is inconclusive.
+    old, new: (n,) values by name of the metric, in the same order of trials; NaN is left out.
+    Wilcoxon's signed-rank test with Holm's correction decides better or worse. Where the interval
+    of the median difference (the test's own, by Walsh averages) lies within the relevant
+    difference, the answer is same. Else it is inconclusive.
     """
-    found = []
+    measured = []
     for metric in METRICS:
         a, b = old[metric.name], new[metric.name]
         both = np.isfinite(a) & np.isfinite(b)
         if both.any():
-            found.append((metric, a[both], b[both]))
-    raw = [signed_rank(b - a) for _, a, b in found]
-    corrected = holm(raw)
+            measured.append((metric, a[both], b[both]))
+    p_values = [signed_rank(b - a) for _, a, b in measured]
+    corrected = holm(p_values)
     out = []
-    for (metric, a, b), p in zip(found, corrected, strict=True):
+    for (metric, a, b), p in zip(measured, corrected, strict=True):
         d = b - a
         low, high = walsh_interval(d, alpha)
-        middle = float(np.median(d))
+        median = float(np.median(d))
         needed = None
         answer: Answer = "inconclusive"
         if not d.any():
             answer = "same"
-        elif p <= alpha and not -metric.relevant < middle < metric.relevant:
-            answer = "worse" if (middle > 0) == metric.lower_is_better else "better"
+        elif p <= alpha and not -metric.relevant < median < metric.relevant:
+            answer = "worse" if (median > 0) == metric.lower_is_better else "better"
         elif -metric.relevant < low and high < metric.relevant:
             answer = "same"
         else:
@@ -153,7 +168,7 @@ def answers(old: dict[str, Array], new: dict[str, Array], alpha: float = ALPHA) 
                 len(d),
                 float(np.median(a)),
                 float(np.median(b)),
-                middle,
+                median,
                 low,
                 high,
                 p,
@@ -167,7 +182,8 @@ def answers(old: dict[str, Array], new: dict[str, Array], alpha: float = ALPHA) 
 def signed_rank(d: Array) -> float:
     """Two-sided p of Wilcoxon's signed-rank test over the pairs that differ; 1 where none does.
 
-    Exact for few pairs, equal sizes included, by all signs: scipy tries them one by one, a hundred times slower.
+    d: differences (n,). Up to EXACT pairs the p is exact, also with ties: all signs are tried in
+    one array (scipy tries them one by one, a hundred times slower).
     """
     differing = d[d != 0]
     n = len(differing)
@@ -178,12 +194,12 @@ def signed_rank(d: Array) -> float:
     ranks = rankdata(np.abs(differing))
     signs = (np.arange(2**n)[:, None] >> np.arange(n)) & 1
     distance = np.abs(signs @ ranks - ranks.sum() / 2)
-    # rank sums are multiples of a half: no rounding to guard against
+    # rank sums are multiples of a half, so the comparison is exact
     return float(np.mean(distance >= abs(ranks[differing > 0].sum() - ranks.sum() / 2)))
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Holm's step-down correction: family-wise p values in the order given."""
+    """Holm's step-down correction: family-wise p values, in the order given."""
     order = np.argsort(p, kind="stable")
     out = np.empty(len(p))
     worst = 0.0
@@ -194,7 +210,10 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def walsh_interval(d: Array, alpha: float) -> tuple[float, float]:
-    """Interval of the median difference that belongs to the signed-rank test; (-inf, inf) with too few pairs for one."""
+    """Confidence interval of the median difference that belongs to the signed-rank test.
+
+    d: differences (n,). (-inf, inf) where there are too few pairs for an interval at `alpha`.
+    """
     n = len(d)
     walsh = np.sort(((d[:, None] + d[None]) / 2)[np.triu_indices(n)])
     # normal approximation of the rank sum's quantile, rounded to the safe side
@@ -207,21 +226,28 @@ def walsh_interval(d: Array, alpha: float) -> tuple[float, float]:
 
 
 def trials_needed(sd: float, relevant: float, alpha: float, n: int) -> int | None:
-    """Paired trials after which a difference that matters would be found with POWER; more than there are."""
+    """Number of paired trials that finds the relevant difference with probability POWER.
+
+    sd: standard deviation of the differences over the n trials there are, in the unit of
+    `relevant`. Always more than n; None where sd is not finite.
+    """
     if not math.isfinite(sd):
         return None
-    # the signed-rank test needs some 5 % more than the t test with normal differences
+    # with normal differences the signed-rank test needs about 5 % more trials than the t test
     z = norm.ppf(1 - alpha / (2 * len(METRICS))) + norm.ppf(POWER)
     return max(n + 1, 6, math.ceil(1.05 * (z * sd / relevant) ** 2))
 
 
 def mcnemar(old: Sequence[bool], new: Sequence[bool]) -> tuple[int, int, float]:
-    """Successes lost, successes gained, exact two-sided p. Only for closed-loop simulations on equal seeds."""
+    """Exact McNemar test: (successes lost, successes gained, two-sided p).
+
+    Only for closed-loop simulations on equal seeds.
+    """
     lost = sum(a and not b for a, b in zip(old, new, strict=True))
     gained = sum(b and not a for a, b in zip(old, new, strict=True))
     return lost, gained, float(binomtest(lost, lost + gained).pvalue) if lost + gained else 1.0
 
 
 def timing(old: Array, new: Array) -> tuple[float, float]:
-    """Factor of the median times new over old, and p of the Mann-Whitney test."""
+    """Median time new over old, and two-sided p of the Mann-Whitney test. Times (n,) s."""
     return float(np.median(new) / max(np.median(old), 1e-12)), float(mannwhitneyu(old, new).pvalue)

@@ -1,4 +1,4 @@
-"""A changed trial as a Rerun recording: old and new over each other, from the tables alone."""
+"""A changed trial as a Rerun recording that shows old and new values, from the tables alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import rerun.blueprint as rrb
 
 from dgeval.compare.divergence import TrialDifference
 
-OLD, NEW, FIRST = (150, 150, 150), (230, 110, 40), (220, 50, 40)
+OLD, NEW, FIRST = (150, 150, 150), (230, 110, 40), (220, 50, 40)  # RGB
+# Plots: title, then legend and column of the frame table of each line
 VIEWS = {
     "error hand to grasp": {"linear, m": "error_linear", "angular, rad": "error_angular"},
     "estimated velocity, m-s": {"x": "velocity_x", "y": "velocity_y", "z": "velocity_z"},
@@ -22,7 +23,10 @@ VIEWS = {
 
 
 def write_difference(path: Path, old: pd.DataFrame, new: pd.DataFrame, d: TrialDifference) -> None:
-    """Series of both runs on one time axis, the feature point's two paths in the base frame, and where they part."""
+    """Write VIEWS of both runs over one time axis, s, and the feature point's path of each run.
+
+    The paths are in the base frame. A log entry marks the first difference.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     rec = rr.RecordingStream("dgeval compare", recording_id=d.trial)
@@ -47,14 +51,14 @@ def write_difference(path: Path, old: pd.DataFrame, new: pd.DataFrame, d: TrialD
                     rec.send_columns(
                         entity, indexes=[times], columns=rr.Scalars.columns(scalars=values)
                     )
-        places = table[["feature_px", "feature_py", "feature_pz"]].to_numpy(
+        positions = table[["feature_px", "feature_py", "feature_pz"]].to_numpy(
             dtype=float, na_value=np.nan
         )
-        places = places[np.isfinite(places).all(axis=1)]
-        if len(places):
+        positions = positions[np.isfinite(positions).all(axis=1)]
+        if len(positions):
             rec.log(
                 ["scene", f"feature point, {name}"],
-                rr.LineStrips3D([places], colors=colour, radii=0.001),
+                rr.LineStrips3D([positions], colors=colour, radii=0.001),
                 static=True,
             )
     at = old.loc[old["frame"] == d.first.frame, "t_ns"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -27,9 +27,8 @@ from dgeval.networks.ffhnet import (
     poses_of,
 )  # fmt: skip
 from dgeval.planning.hand_overlap import depth_below, overlap, standing_points
+from dgeval.robots.hand import Hand, hand_for
 
-JOINT_LOW = np.tile([-0.261799, 0.0, 0.0], 5)  # rad, of the 15 joints (PAPERS 1.4)
-JOINT_HIGH = np.tile([0.261799, 1.48353, 1.13446], 5)
 UPRIGHT = np.diag(
     [1.0, -1.0, -1.0]
 )  # R_cloud_base of what dgeval's own weights learned: z down, whatever the camera's
@@ -42,7 +41,7 @@ WAY_STEPS = 3
 
 @dataclass(frozen=True)
 class Networks:
-    """Generator and evaluator of the same basis.
+    """Generator and evaluator of the same basis, for one hand.
 
     upright: they learned clouds whose z points down; else, as the authors', clouds with the axes of the camera.
     """
@@ -50,6 +49,7 @@ class Networks:
     generator: FFHGenerator
     evaluator: FFHEvaluator
     upright: bool = False
+    hand: Hand = field(default_factory=lambda: hand_for("ffhnet"))
 
     @property
     def n_bps(self) -> int:
@@ -64,12 +64,13 @@ class Networks:
 class EncodedCloud:
     """What the networks see of a cloud: bps (1, n) of it about its mean (3,) m, in the axes it was given in.
 
-    points: some of it (m, 3), and of what stands under it, to look for overlaps of hand and object.
+    points: some of it (m, 3), and of what stands under it, to look for overlaps with `hand`.
     """
 
     bps: torch.Tensor
     mean: Array
     points: Array
+    hand: Hand
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,7 @@ def encode_cloud(
         bps,
         mean,
         some if support is None else np.concatenate([some, standing_points(points, *support)]),
+        networks.hand,
     )
 
 
@@ -127,7 +129,7 @@ def draw(
     """n grasps of a cloud by (seed, stage, frame) alone: T (n, 4, 4) about its mean, joints (n, 15) within their limits."""
     draws = torch.Generator().manual_seed(int(generator(seed, stage, frame).integers(2**63)))
     palms = network.generate(bps, n, draws)
-    return poses_of(palms), np.clip(palms.joints.double().numpy(), JOINT_LOW, JOINT_HIGH)
+    return poses_of(palms), np.clip(palms.joints.double().numpy(), *hand_for("ffhnet").drive_limits)
 
 
 def propose(
@@ -175,9 +177,9 @@ def free_of(
 
     support: normal (3,) and offset m of the plane in the cloud's frame.
     """
-    deep = overlap(cloud.points, T_cloud_palm, joints)
+    deep = overlap(cloud.points, T_cloud_palm, joints, cloud.hand)
     if support is not None:
-        deep = np.maximum(deep, depth_below(*support, T_cloud_palm, joints))
+        deep = np.maximum(deep, depth_below(*support, T_cloud_palm, joints, cloud.hand))
     return np.asarray(deep <= most)
 
 

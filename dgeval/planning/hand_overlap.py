@@ -7,19 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array, invert
-from dgeval.robots.dlr_hit_hand import (
-    CHAIN,
-    FINGER_MOUNTS,
-    FINGERS,
-    PALM_BOXES,
-    RADIUS,
-    T_hand_palm,
-    capsule_ends,
-    pose,
-)
+from dgeval.robots.hand import Hand
 
 COLUMN, LEVEL = (
     0.009,
@@ -27,60 +17,44 @@ COLUMN, LEVEL = (
 )  # m; of the points put under what was seen: across, and from one to the next below it
 
 
-def finger_axes(joints: Array) -> Array:
-    """Ends of the 15 finger links' axes, palm frame: (n, 15, 2, 3) m for joint positions (n, 15) rad."""
-    n = len(joints)
-    out = np.empty((n, 15, 2, 3))
-    T_palm_hand = invert(T_hand_palm)
-    for f, finger in enumerate(FINGERS):
-        T = np.tile(T_palm_hand @ pose(*FINGER_MOUNTS[finger]), (n, 1, 1))
-        for k, joint in enumerate(CHAIN):
-            turn = np.tile(np.eye(4), (n, 1, 1))
-            q = joints[:, 3 * f + min(k, 2)]  # the last joint follows the one before it
-            turn[:, :3, :3] = Rotation.from_euler("z", q[:, None]).as_matrix()
-            T = T @ pose(joint.xyz, joint.rpy) @ turn
-            for end, point in enumerate(capsule_ends(joint)):
-                if k > 0:
-                    out[:, 3 * f + k - 1, end] = T[:, :3, :3] @ point + T[:, :3, 3]
-    return out
+def overlap(points: Array, T_cloud_palm: Array, joints: Array, hand: Hand) -> Array:
+    """Depth (n,) m of the deepest of the cloud's points (m, 3) inside the hand; 0 where none is.
 
-
-def overlap(points: Array, T_cloud_palm: Array, joints: Array) -> Array:
-    """Depth (n,) m of the deepest of the cloud's points (m, 3) inside the hand at each palm pose (n, 4, 4); 0 where none is."""
-    T_palm_hand = invert(T_hand_palm)
+    For each palm pose T_cloud_palm (n, 4, 4) with drives (n, k).
+    """
+    T_palm_hand = invert(hand.T_hand_palm)
+    solids = hand.solids(joints)
     centres = np.array(
-        [T_palm_hand[:3, :3] @ centre + T_palm_hand[:3, 3] for _, centre, _ in PALM_BOXES]
+        [T_palm_hand[:3, :3] @ centre + T_palm_hand[:3, 3] for _, centre in solids.boxes]
     )
-    halves = np.array([half for half, _, _ in PALM_BOXES])
+    halves = np.array([half for half, _ in solids.boxes])
+    R_palm_hand = T_palm_hand[:3, :3].copy()
     return np.asarray(
-        _deepest(
-            points,
-            T_cloud_palm,
-            finger_axes(joints),
-            RADIUS,
-            T_palm_hand[:3, :3].copy(),
-            centres,
-            halves,
-        )
+        _deepest(points, T_cloud_palm, solids.axes, solids.radius, R_palm_hand, centres, halves)
     )
 
 
-def depth_below(normal: Array, offset: float, T_cloud_palm: Array, joints: Array) -> Array:
-    """How far (n,) m the hand at each palm pose (n, 4, 4) reaches below the plane normal . p = offset; negative: above it."""
-    T_palm_hand = invert(T_hand_palm)
+def depth_below(
+    normal: Array, offset: float, T_cloud_palm: Array, joints: Array, hand: Hand
+) -> Array:
+    """How far (n,) m the hand at each palm pose (n, 4, 4) reaches below the plane normal . p = offset.
+
+    Negative: it is above the plane.
+    """
+    T_palm_hand = invert(hand.T_hand_palm)
+    solids = hand.solids(joints)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
     corners = np.concatenate(
-        [np.array(centre) + signs * np.array(half) for half, centre, _ in PALM_BOXES]
+        [np.array(centre) + signs * np.array(half) for half, centre in solids.boxes]
     )
     corners = corners @ T_palm_hand[:3, :3].T + T_palm_hand[:3, 3]
     along = T_cloud_palm[:, :3, :3].transpose(0, 2, 1) @ normal  # the normal in each palm's frame
     at = T_cloud_palm[:, :3, 3] @ normal - offset
-    fingers = (
-        np.einsum("nkec,nc->nke", finger_axes(joints), along).reshape(len(joints), -1).min(axis=1)
-        - RADIUS
-    )
-    palm = (along @ corners.T).min(axis=1)
-    return np.asarray(-(np.minimum(fingers, palm) + at))
+    lowest = (along @ corners.T).min(axis=1)
+    if solids.axes.shape[1]:
+        ends = np.einsum("nkec,nc->nke", solids.axes, along)
+        lowest = np.minimum(ends.reshape(len(joints), -1).min(axis=1) - solids.radius, lowest)
+    return np.asarray(-(lowest + at))
 
 
 def standing_points(points: Array, normal: Array, offset: float) -> Array:

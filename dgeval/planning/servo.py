@@ -8,10 +8,9 @@ import numpy as np
 
 from dgeval.config import ServoConfig
 from dgeval.geometry import Array, invert, rotation_angle, rotation_vector
-from dgeval.robots.dlr_hit_hand import T_hand_palm
+from dgeval.robots.hand import Hand
 
 FAST_DERIVATIVE_GAINS = (0.2, 0.5)  # PAPERS A11
-ALONG_FINGERS = invert(T_hand_palm)[:3, 2]  # palm frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +46,9 @@ def blend_rotation(distance: float, r_O: Array, r_G: Array, config: ServoConfig)
 class Servo:
     """Equation 7 with the error's derivative low-passed over derivative_tau (read literally it diverges, PAPERS A11)."""
 
-    def __init__(self, config: ServoConfig) -> None:
+    def __init__(self, config: ServoConfig, hand: Hand) -> None:
         self.config = config
+        self._along_fingers = invert(hand.T_hand_palm)[:3, 2]  # palm frame; z of the hand's base
         self.reset()
 
     def reset(self) -> None:
@@ -74,7 +74,7 @@ class Servo:
         R = T_base_grasp[:3, :3] @ T_base_palm[:3, :3].T
         r_G = rotation_vector(R)
         distance = float(np.linalg.norm(t_G))
-        axis = T_base_grasp[:3, :3] @ ALONG_FINGERS
+        axis = T_base_grasp[:3, :3] @ self._along_fingers
         if t_G @ axis > 0:
             t_G = t_G + c.beyond_m * axis
         r = (

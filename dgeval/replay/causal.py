@@ -24,11 +24,14 @@ from dgeval.planning.servo import Servo
 from dgeval.recording.contract import CLOSE_EVENT, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
 from dgeval.recording.trials import Trial
-from dgeval.robots.dlr_hit_hand import ACTUATED
+from dgeval.robots.hand import Hand, hand_named, hand_of
 
 if TYPE_CHECKING:
     from dgeval.planning.model_grasps import ModelGrasps
     from dgeval.planning.vfas.replayed import VfasGrasps
+
+
+DEFAULT_HAND = "dlr_hit_hand"  # whose palm frame is taken where no known hand is described
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
     `perception`, a new one, is left as it is after the last frame, for the second pass.
     """
     state = perception or Perception(config)
-    servo = Servo(config.servo)
+    servo = Servo(config.servo, recorded_hand(trial) or hand_named(DEFAULT_HAND))
     perceived: Delayed[Any] = Delayed(config.schedule.perception_latency_s)
     planner = _planner(trial, config)
     grasps = _grasps(trial, config) if planner is None else None
@@ -106,11 +109,17 @@ def grasp_source(trial: Trial, config: GraspsConfig) -> str:
         return config.source
     if trial.scan.poses.get(GRASP_TOPIC):
         return "recorded"
-    description = trial.robot.description
-    known = description is not None and {j.name for j in description.joints.values()}.issuperset(
-        ACTUATED
-    )
+    hand = recorded_hand(trial)
+    known = hand is not None and hand.grasp_network == "ffhnet"
     return "ffhnet" if known and trial.robot.palm_frame is not None else "none"
+
+
+def recorded_hand(trial: Trial) -> Hand | None:
+    """The hand of the recorded description; None without one, or of a hand that has no model."""
+    description = trial.robot.description
+    if description is None:
+        return None
+    return hand_of({j.name for j in description.joints.values()})
 
 
 def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None:

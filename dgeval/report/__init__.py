@@ -1,1 +1,1 @@
-"""From finished runs to what a person reads."""
+"""Reports of finished runs: HTML, Markdown, CSV and figures."""

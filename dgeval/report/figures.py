@@ -16,15 +16,27 @@ from dgeval.report.summary import Share
 
 COLOURS = ("#1f77b4", "#d95f02", "#2a9d5c", "#7b5ea7")
 STYLE = {
-    "font.family": "DejaVu Sans", "font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False,
-    "axes.grid": True, "grid.alpha": 0.25, "legend.frameon": False, "legend.fontsize": 8, "svg.hashsalt": "dgeval",
-}  # fmt: skip
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "svg.hashsalt": "dgeval",
+}
 
 
 def trial_figure(
     frames: pd.DataFrame, hindsight: pd.DataFrame | None, events: dict[str, int | None]
 ) -> Figure:
-    """Errors, velocity, scores, and the hand's distance to the object by hindsight over seconds; blind stretches shaded."""
+    """Plots of one trial over time, s.
+
+    Rows: servo errors, velocity, scores, and with hindsight the hand's distance to the object.
+    Shaded: frames without an accepted registration, and frames in which the target was lost.
+    events: name and stamp ns, drawn as lines.
+    """
     start = int(frames["t_ns"].iloc[0])
     t = (frames["t_ns"] - start).to_numpy() * 1e-9
     with matplotlib.rc_context(STYLE):
@@ -72,7 +84,7 @@ def trial_figure(
 
 
 def shares_figure(title: str, shares: list[Share]) -> Figure:
-    """Success or failure shares with Wilson intervals as bars, the paper's as diamonds."""
+    """Shares in % as bars with Wilson intervals; the paper's shares as diamonds."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 0.9 + 0.28 * len(shares)), layout="constrained")
         axis = figure.subplots()
@@ -118,7 +130,11 @@ def _lines(axis: Any, t: Any, frames: pd.DataFrame, columns: dict[str, str]) -> 
 
 
 def _distance(axis: Any, start: int, hindsight: pd.DataFrame) -> None:
-    """The hand's distance to the object, mm; thin where the object is where it was seen, or moves with hand or support."""
+    """Distance of hand and object, mm, by hindsight.
+
+    Thick where the object is on its undisturbed path. Thin where its position is an observation,
+    or where it moves with hand or support.
+    """
     t = (hindsight["t_ns"].to_numpy() - start) * 1e-9
     mm = 1000 * hindsight["hand_distance"].to_numpy(dtype=float)
     on_path = (hindsight["by"] == "path").to_numpy()
@@ -141,9 +157,10 @@ def _distance(axis: Any, start: int, hindsight: pd.DataFrame) -> None:
 
 
 def _shade(axis: Any, t: Any, mask: Any, colour: str) -> None:
+    """Shade the frames of `mask` (n,) at the times t (n,) s, half a frame period to either side."""
     if not len(t):
         return
-    half = float(np.median(np.diff(t))) / 2 if len(t) > 1 else 0.02
+    half_period_s = float(np.median(np.diff(t))) / 2 if len(t) > 1 else 0.02
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
     for a, b in zip(edges[::2], edges[1::2], strict=True):
-        axis.axvspan(t[a] - half, t[b - 1] + half, color=colour, alpha=0.55, lw=0)
+        axis.axvspan(t[a] - half_period_s, t[b - 1] + half_period_s, color=colour, alpha=0.55, lw=0)

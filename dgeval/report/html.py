@@ -1,4 +1,7 @@
-"""One HTML file for a run or several, needing no network and nothing beside it; the same as Markdown, CSV and figures."""
+"""The report of one or more runs as one HTML file that needs no network and no other file.
+
+The same contents as Markdown, CSV and figures.
+"""
 
 from __future__ import annotations
 
@@ -24,36 +27,38 @@ from dgeval.report.tables import stage_times, trial_summary
 from dgeval.runs.files import file_name, write_atomically
 from dgeval.runs.results import Run, read_run
 
-CHANCES = ("p_imprecise_pose", "p_collision", "p_timing")
+PROBABILITIES = ("p_imprecise_pose", "p_collision", "p_timing")
 
 
 def write_report(folders: list[Path], out: Path, truth: list[Path] | None = None) -> Path:
-    """Write report.html, report.md, trials.csv and the figures into `out`. UsageError where a folder is not a finished run.
+    """Write report.html, report.md, trials.csv and the figures into `out`; returns report.html.
 
-    truth: recordings or manifests to score the verdicts against.
+    truth: recordings or manifests to score the verdicts against. UsageError where a folder is not a
+    finished run.
     """
     runs = [read_run(f) for f in folders]
-    known = read_truth(truth) if truth else {}
+    truths = read_truth(truth) if truth else {}
     environment = template_environment("report/templates")
-    shown = [_run(r, known) for r in runs]
-    page = environment.get_template("report.html").render(version=__version__, runs=shown)
+    sections = [_run(r, truths) for r in runs]
+    page = environment.get_template("report.html").render(version=__version__, runs=sections)
     path = out / "report.html"
     write_atomically(path, page)
     write_atomically(
         out / "report.md",
-        environment.get_template("report.md").render(version=__version__, runs=shown),
+        environment.get_template("report.md").render(version=__version__, runs=sections),
     )
     tables = [r.trials.assign(run=str(r.folder)) for r in runs]
     write_atomically(out / "trials.csv", pd.concat(tables).to_csv(index=False))
-    for k, run in enumerate(shown):
+    for k, run in enumerate(sections):
         for name, figure in run["figures"].items():
-            stem = f"{name}-{k}" if len(shown) > 1 else name
+            stem = f"{name}-{k}" if len(sections) > 1 else name
             figure.savefig(out / f"{stem}.png", dpi=110, metadata={"Software": None})
             figure.savefig(out / f"{stem}.svg", metadata={"Date": None})
     return path
 
 
 def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """What the templates show of one run. truth: verdicts of the simulator by trial id."""
     by = (
         {name: success_by(run.trials, name) for name in ("speed", "object", "scenario")}
         if len(run.trials)
@@ -89,10 +94,14 @@ def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
     return {
         "folder": str(run.folder),
         "about": run.about,
-        # failures first, the surest verdicts before the others
+        # failures first, those with the most probable class before the others
         "trials": sorted(
             trials,
-            key=lambda t: (t["outcome"] != "failure", -max(t[p] or 0 for p in CHANCES), t["trial"]),
+            key=lambda t: (
+                t["outcome"] != "failure",
+                -max(t[p] or 0 for p in PROBABILITIES),
+                t["trial"],
+            ),
         ),
         "success": share(
             "success",
@@ -114,7 +123,7 @@ def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
 
 
 def _picture(path: Path) -> str | None:
-    """The picture of the decisive moment inside the HTML file, None where there is none."""
+    """The picture of the decisive moment as a data URI; None where the file is missing."""
     return (
         "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode()
         if path.is_file()
@@ -123,7 +132,7 @@ def _picture(path: Path) -> str | None:
 
 
 def _messages(run: Run) -> list[dict[str, Any]]:
-
+    """The entries of the run's log.jsonl; none where the file can't be read."""
     try:
         lines = (run.folder / "log.jsonl").read_text(encoding="utf-8").splitlines()
     except OSError:

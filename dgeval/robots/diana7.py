@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from dgeval.geometry import Array, rotation_vector
-from dgeval.robots.dlr_hit_hand import T_hand_palm, place, pose
+from dgeval.robots.mjcf import place, pose
 
 # origin xyz m and rpy rad in the parent link, limits rad, speed rad/s; every joint turns about its local z
 JOINTS = (
@@ -61,7 +61,7 @@ def add_arm(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> mujoco.MjsBody:
 class ArmKinematics:
     """Forward and differential inverse kinematics of the palm, or of another tool, on a model of the arm alone."""
 
-    def __init__(self, T_hand_tool: Array = T_hand_palm) -> None:
+    def __init__(self, T_hand_tool: Array) -> None:
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
         hand = add_arm(spec, spec.worldbody.add_body(name="base_link"))

@@ -13,7 +13,10 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dgeval.geometry import Array
+from dgeval.geometry import Array, invert
+from dgeval.robots import urdf
+from dgeval.robots.hand import Grip, Hand, Solids
+from dgeval.robots.mjcf import place, pose
 
 FINGERS = (
     "thumb",
@@ -70,20 +73,13 @@ MAX_SPEED = 3.14  # rad/s
 CLOSED = np.tile(
     [0.0, 1.25, 1.0], 5
 )  # where the fingers are sent to; the limited forces stop them on the object
-CLOSE_S = 0.4  # s, closing ramp
+CLOSE_S = 0.4  # s, closing ramp; as a hand closes that is sent to CLOSED at once
+HELD_NM = 0.05  # Nm, mean effort of a finger's flexion joints that presses; empty ones show up to 0.01 (simulated trials)
 GRASP_CENTRE = np.array([0.05, 0.012, 0.165])  # in hand_base
 STIFFNESS, FORCE = (
     (3.0, 3.0, 1.8),
     (2.0, 1.15, 0.95),
 )  # Nm/rad and Nm of the three drives of a finger
-
-
-def pose(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Array:
-    """T_parent_child (4, 4) of a URDF origin."""
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
-    T[:3, 3] = xyz
-    return T
 
 
 T_hand_palm = pose(PALM_XYZ, PALM_RPY)
@@ -92,17 +88,6 @@ _TILT = Rotation.from_euler("x", -12, degrees=True).as_matrix()
 T_hand_camera = np.eye(4)
 T_hand_camera[:3, :3] = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ _TILT
 T_hand_camera[:3, 3] = (0.115, -0.045, -0.06)
-
-
-def quat_wxyz(R: Array) -> Array:
-    """Rotation matrix (3, 3) -> MuJoCo's quaternion order."""
-    return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))
-
-
-def place(item: object, T: Array) -> None:
-    """Set a body's, geom's, camera's or site's pose in its parent."""
-    item.pos = T[:3, 3]  # type: ignore[attr-defined]
-    item.quat = quat_wxyz(T[:3, :3])  # type: ignore[attr-defined]
 
 
 def capsule_ends(joint: FingerJoint) -> tuple[Array, Array]:
@@ -177,3 +162,85 @@ def finger_targets(since_close: float, preshape: Array) -> Array:
     """Finger drives (15,) a time after the close command, s."""
     closing = float(np.clip(since_close / CLOSE_S, 0.0, 1.0))
     return np.asarray(preshape + closing * (np.maximum(CLOSED, preshape) - preshape))
+
+
+def finger_axes(joints: Array) -> Array:
+    """Ends of the 15 finger links' axes, palm frame: (n, 15, 2, 3) m for joint positions (n, 15) rad."""
+    n = len(joints)
+    out = np.empty((n, 15, 2, 3))
+    T_palm_hand = invert(T_hand_palm)
+    for f, finger in enumerate(FINGERS):
+        T = np.tile(T_palm_hand @ pose(*FINGER_MOUNTS[finger]), (n, 1, 1))
+        for k, joint in enumerate(CHAIN):
+            turn = np.tile(np.eye(4), (n, 1, 1))
+            q = joints[:, 3 * f + min(k, 2)]  # the last joint follows the one before it
+            turn[:, :3, :3] = Rotation.from_euler("z", q[:, None]).as_matrix()
+            T = T @ pose(joint.xyz, joint.rpy) @ turn
+            for end, point in enumerate(capsule_ends(joint)):
+                if k > 0:
+                    out[:, 3 * f + k - 1, end] = T[:, :3, :3] @ point + T[:, :3, 3]
+    return out
+
+
+def links() -> list[str]:
+    parts = []
+    for finger in FINGERS:
+        parent, T = "hand_base", pose(*FINGER_MOUNTS[finger])
+        for k, joint in enumerate(CHAIN):
+            name = f"{finger}_{k}"
+            parts.append(urdf.link(name, urdf.capsule(*capsule_ends(joint), RADIUS)))
+            xyz, rpy = urdf.origin(T @ pose(joint.xyz, joint.rpy))
+            mimic = f'<mimic joint="{finger}_2"/>' if k == 3 else ""
+            limits = (joint.lower, joint.upper, joint.effort, MAX_SPEED)
+            parts.append(urdf.joint(name, parent, name, xyz, rpy, limits, mimic))
+            parent, T = name, np.eye(4)
+    return parts
+
+
+def grip(efforts: Array) -> tuple[bool, str]:
+    """Whether a hand holds something by its fingers' flexion efforts (n, 10) Nm over some time, two joints per finger."""
+    effort: Array = np.abs(np.mean(efforts, axis=0)).reshape(5, 2).max(axis=1)
+    pressing = int((effort > HELD_NM).sum())
+    listed = ", ".join(f"{v:.2f}" for v in effort)
+    if pressing >= 2:
+        return True, f"{pressing} fingers still press at the end ({listed} Nm)"
+    return False, f"the fingers hold nothing at the end ({listed} Nm)"
+
+
+def coupled(drives: Array) -> Array:
+    """All joints (20,) from the drives (15,): the last of each finger follows the one before it."""
+    fingers = drives.reshape(5, 3)
+    return np.concatenate([fingers, fingers[:, 2:]], axis=1).ravel()
+
+
+def random_preshape(rng: np.random.Generator) -> Array:
+    """Drives (15,) rad: fingers bent alike, the thumb open."""
+    preshape = np.zeros(15)
+    preshape[1::3], preshape[2::3] = rng.uniform(0.0, 0.6), rng.uniform(0.1, 0.6)
+    preshape[1] = rng.uniform(0.0, 0.2)
+    return preshape
+
+
+HAND = Hand(
+    name="dlr_hit_hand",
+    joints=JOINT_NAMES,
+    drives=ACTUATED,
+    fingers=FINGERS,
+    grasp_network="ffhnet",
+    T_hand_palm=T_hand_palm,
+    T_hand_camera=T_hand_camera,
+    centre=GRASP_CENTRE,
+    open=np.tile([0.0, 0.15, 0.25], 5),
+    drive_limits=np.tile([[j.lower for j in CHAIN[:3]], [j.upper for j in CHAIN[:3]]], 5),
+    drive_speed=MAX_SPEED,
+    close_s=CLOSE_S,
+    positions=coupled,
+    targets=finger_targets,
+    solids=lambda drives: Solids(finger_axes(drives), RADIUS, tuple(b[:2] for b in PALM_BOXES)),
+    grip=Grip("effort", tuple(n for n in ACTUATED if not n.endswith("_0")), 5, grip),
+    mismatch_sd=0.03,  # rad; development trials, see verdict/decide.py
+    add=add_hand,
+    links=links,
+    random_preshape=random_preshape,
+    palm_solids=urdf.boxes([(half, centre) for half, centre, _ in PALM_BOXES]),
+)

@@ -1,55 +1,133 @@
-"""What differs between the grippers that the simulator's world can carry."""
+"""What a hand is to the rest of dgeval, and which hands there are.
+
+A new hand is one file in this folder, or one behind the entry point group `dgeval.hands`, with a
+module attribute `HAND`. Nothing outside this folder knows a finger's name or how many there are.
+"""
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Literal
+from functools import cache
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from dgeval.geometry import Array
-from dgeval.robots import dlr_hit_hand as hand
-from dgeval.robots import parallel_jaw as jaw
+
+if TYPE_CHECKING:
+    import mujoco
+
+ENTRY_POINTS = "dgeval.hands"
+BASE = "hand_base"  # the body that a hand's solids hang on
 
 
 @dataclass(frozen=True)
-class Gripper:
-    """joints: all, in the order of joint states; drives: those with a drive; fingers: first words of geoms' names.
+class Grip:
+    """How a grip shows in a log, some time after the close.
 
-    T_hand_palm: the frame of grasps; T_hand_camera: its colour camera, as calibrated; centre (3,) m in hand_base: where held
-    things are. positions: all joints of a preshape; targets: of the drives, s after the close command.
-    mismatch_sd: rad or m, of where the closing fingers come to rest in the twin against the log.
+    signal: which values of `joints` are looked at, position (rad, m) or effort (Nm, N). least: how
+    many samples it takes. holds: of samples (n, len(joints)), whether the hand holds something, and
+    a sentence with the figures.
     """
 
-    name: Literal["fingers", "jaw"]
+    signal: Literal["position", "effort"]
+    joints: tuple[str, ...]
+    least: int
+    holds: Callable[[Array], tuple[bool, str]]
+
+
+@dataclass(frozen=True)
+class Solids:
+    """The hand's solids at some joint positions, for penetration with a cloud.
+
+    axes (n, m, 2, 3) m: ends of the axes of m capsules in the frame of grasps, for n sets of joint
+    positions. radius m: of all capsules. boxes: (half sizes, centre) m in the hand's base frame,
+    which do not move.
+    """
+
+    axes: Array
+    radius: float
+    boxes: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A hand: solids, joints and their coupling, drives, closing over time, frames, how a grip shows.
+
+    name: unique, as in configurations. joints: all, in the order of joint states; drives: those
+    with a drive. fingers: first parts (up to "_") of the names of its solids. grasp_network: the
+    network whose weights are for this hand. T_hand_palm: the frame of grasps in the base frame;
+    T_hand_camera: the colour camera as calibrated. centre (3,) m: where held objects are, base
+    frame. open (k,): drives before a grasp is chosen. drive_limits (2, k), drive_speed: rad or m,
+    and per second. close_s: from
+    the command until the hand has closed. positions: all joints from the drives. targets: drives, s after the close
+    command, from those before it. solids: see `Solids`, of drives (n, k). mismatch_sd: rad or m, of
+    where the closing fingers come to rest in physics against a log. add: puts the hand into a spec
+    below a body; geoms have contype 2 and conaffinity 1, and are named "<finger>_<…>". links: the
+    hand's links and joints below BASE as URDF text; palm_solids: those of BASE itself.
+    random_preshape: drives before a close, to search grasps with. link_points: n points (n, 3) m on
+    the open hand's links, frame of grasps, for a network that sees them. opening m: between two
+    opposite pads, of a hand that has them.
+    """
+
+    name: str
     joints: tuple[str, ...]
     drives: tuple[str, ...]
     fingers: tuple[str, ...]
+    grasp_network: str
     T_hand_palm: Array
     T_hand_camera: Array
     centre: Array
+    open: Array
+    drive_limits: Array
+    drive_speed: float
+    close_s: float
     positions: Callable[[Array], Array]
     targets: Callable[[float, Array], Array]
+    solids: Callable[[Array], Solids]
+    grip: Grip
     mismatch_sd: float
+    add: Callable[[mujoco.MjSpec, mujoco.MjsBody], None]
+    links: Callable[[], list[str]]
+    palm_solids: str
+    random_preshape: Callable[[np.random.Generator], Array]
+    link_points: Callable[[int, np.random.Generator], Array] | None = None
+    opening: float | None = None
 
 
-def _coupled(preshape: Array) -> Array:
-    """The last joint of each finger follows the one before it."""
-    fingers = preshape.reshape(5, 3)
-    return np.concatenate([fingers, fingers[:, 2:]], axis=1).ravel()
+@cache
+def hands() -> tuple[Hand, ...]:
+    """All hands, by name: the files of this folder, and those of installed packages."""
+    import dgeval.robots
+
+    found: dict[str, Hand] = {}
+    for module in pkgutil.iter_modules(dgeval.robots.__path__):
+        hand = getattr(importlib.import_module(f"dgeval.robots.{module.name}"), "HAND", None)
+        if isinstance(hand, Hand):
+            found[hand.name] = hand
+    for entry in entry_points(group=ENTRY_POINTS):
+        hand = entry.load()
+        found[hand.name] = hand
+    return tuple(found[name] for name in sorted(found))
 
 
-FIVE_FINGERS = Gripper(
-    "fingers", hand.JOINT_NAMES, hand.ACTUATED, hand.FINGERS, hand.T_hand_palm, hand.T_hand_camera,
-    hand.GRASP_CENTRE, _coupled, hand.finger_targets, 0.03,
-)  # fmt: skip
-JAW = Gripper(
-    "jaw", jaw.JOINT_NAMES, jaw.JOINT_NAMES, jaw.FINGERS, jaw.T_hand_grasp, jaw.T_hand_camera,
-    jaw.T_hand_grasp[:3, 3], np.copy, jaw.finger_targets, 0.002,
-)  # fmt: skip
+def hand_named(name: str) -> Hand:
+    """KeyError with the names there are where there is none."""
+    for hand in hands():
+        if hand.name == name:
+            return hand
+    raise KeyError(f"no hand {name!r}; there are {', '.join(h.name for h in hands())}")
 
 
-def gripper_of(joints: Collection[str]) -> Gripper | None:
-    """Which one has these joints; None for a hand of which there is no model."""
-    return next((g for g in (FIVE_FINGERS, JAW) if set(g.drives) <= set(joints)), None)
+def hand_for(network: str) -> Hand:
+    """The hand that a grasp network's weights are for: ffhnet or vfas."""
+    return next(h for h in hands() if h.grasp_network == network)
+
+
+def hand_of(joints: Collection[str]) -> Hand | None:
+    """The hand whose drives are among these joints; None for a hand of which there is no model."""
+    return next((h for h in hands() if set(h.drives) <= set(joints)), None)

@@ -12,7 +12,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
-from dgeval.robots.dlr_hit_hand import place
+from dgeval.robots import urdf
+from dgeval.robots.hand import Grip, Hand, Solids
+from dgeval.robots.mjcf import place
 
 OPENING = 0.10  # m between the pads
 TRAVEL = OPENING / 2  # m, of each finger
@@ -27,6 +29,7 @@ STIFFNESS = 1500.0  # N/m
 CLOSE_SPEED = 0.15  # m/s of each finger
 PRESSED = -0.02  # m; where the fingers are sent to; the limited force stops them on the object
 CLOSE_S = TRAVEL / CLOSE_SPEED + 0.15  # ramp, and time to grip
+HELD_M = 0.002  # m between closed jaws; walls of cups are 3 mm and more
 OPEN = np.full(2, TRAVEL)
 T_hand_grasp = np.eye(4)
 T_hand_grasp[2, 3] = 0.14
@@ -109,3 +112,72 @@ def link_points(n: int, rng: np.random.Generator) -> Array:
         point[cell % 3] = rng.choice([-1.0, 1.0])
         out[i] = centre + point * half
     return out
+
+
+def links() -> list[str]:
+    parts = []
+    for name, side in zip(JOINT_NAMES, (1.0, -1.0), strict=True):
+        solids = [(half, (side * centre[0], *centre[1:])) for half, centre in (DISTAL, PROXIMAL)]
+        parts.append(urdf.link(name, urdf.boxes(solids)))
+        xyz, limits = (
+            tuple(float(v) for v in T_hand_grasp[:3, 3]),
+            (0.0, TRAVEL, GRIP_FORCE, CLOSE_SPEED),
+        )
+        parts.append(
+            urdf.joint(
+                name,
+                "hand_base",
+                name,
+                xyz,
+                (0, 0, 0),
+                limits,
+                kind="prismatic",
+                axis=f"{side} 0 0",
+            )
+        )
+    return parts
+
+
+def between_jaws(positions: Array) -> tuple[bool, str]:
+    """Whether closed jaws hold something, by how far (n, 2) m they are from meeting over some time."""
+    gap = float(np.median(positions.sum(axis=1)))
+    said = f"the jaws are {gap * 1000:.0f} mm apart at the end"
+    return (True, said) if gap > HELD_M else (False, f"{said}: they hold nothing")
+
+
+def fixed_solids(drives: Array) -> Solids:
+    """Palm and open fingers as boxes; no capsules."""
+    offset = T_hand_grasp[:3, 3]
+    boxes = [(PALM[0], tuple(float(v) for v in offset + PALM[1]))]
+    for side in (1.0, -1.0):
+        for half, centre in (DISTAL, PROXIMAL):
+            at = offset + np.array([side * (centre[0] + TRAVEL), *centre[1:]])
+            boxes.append((half, tuple(float(v) for v in at)))
+    return Solids(np.zeros((len(drives), 0, 2, 3)), 0.0, tuple(boxes))
+
+
+HAND = Hand(
+    name="parallel_jaw",
+    joints=JOINT_NAMES,
+    drives=JOINT_NAMES,
+    fingers=FINGERS,
+    grasp_network="vfas",
+    T_hand_palm=T_hand_grasp,
+    T_hand_camera=T_hand_camera,
+    centre=T_hand_grasp[:3, 3],
+    open=OPEN,
+    drive_limits=np.tile([[0.0], [TRAVEL]], 2),
+    drive_speed=CLOSE_SPEED,
+    close_s=CLOSE_S,
+    positions=np.copy,
+    targets=finger_targets,
+    solids=fixed_solids,
+    grip=Grip("position", JOINT_NAMES, 1, between_jaws),
+    mismatch_sd=0.002,  # m; development trials, see verdict/decide.py
+    add=add_gripper,
+    links=links,
+    random_preshape=lambda rng: OPEN.copy(),
+    link_points=link_points,
+    opening=OPENING,
+    palm_solids=urdf.boxes([(PALM[0], tuple(float(v) for v in T_hand_grasp[:3, 3] + PALM[1]))]),
+)

@@ -110,7 +110,9 @@ def world_of(campaign: Campaign, plan: Plan, cameras: tuple[Camera, ...] = ()) -
     things = _things(campaign.meshes, campaign.scenario.vfas)
     others = tuple((things[name], x, y, yaw) for name, x, y, yaw in plan.others)
     setting = Setting(others, plan.presenter, plan.turn)
-    return World(things[plan.object], plan.speed, cameras, setting, campaign.scenario.gripper)
+    return World(
+        things[plan.object], plan.speed, cameras, setting, gripper=campaign.scenario.gripper
+    )
 
 
 def grasps_of(campaign: Campaign, plan: Plan) -> GraspSource:

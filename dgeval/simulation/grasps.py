@@ -7,7 +7,7 @@ repetitions that still lift.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 
 import mujoco
@@ -16,19 +16,16 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, matrix_from_pose
-from dgeval.robots.dlr_hit_hand import (
-    ACTUATED,
-    CLOSE_S,
-    RADIUS,
-    T_hand_palm,
-    finger_targets,
-    quat_wxyz,
-)
-from dgeval.worlds.closing import LIFT_HEIGHT, LIFT_S, SETTLE_S, swing
+from dgeval.robots.hand import hand_for
+from dgeval.robots.mjcf import quat_wxyz
+from dgeval.worlds.closing import LIFT_HEIGHT, LIFT_S, SETTLE_S
+from dgeval.worlds.hand_and_object import HandAndObject, LiftTest
 from dgeval.worlds.objects import ObjectModel, at
-from dgeval.worlds.scene import TIMESTEP, build
+from dgeval.worlds.scene import build
 
+HAND = hand_for("ffhnet")
 REPETITIONS = 6
+LIFT_TEST = LiftTest(SETTLE_S, LIFT_S, LIFT_HEIGHT, 0.3, 0.0)
 SHAKE = 2 * 2 * 9.81 / (2 * np.pi * 5.0) ** 2  # m, to and fro: 2 g at 5 Hz
 
 
@@ -56,97 +53,43 @@ def known_grasps(thing: ObjectModel) -> list[KnownGrasp]:
     ]
 
 
-class FlyingHand:
-    """A world with the hand on a handle over a resting object."""
+class FlyingHand(HandAndObject):
+    """A hand on a handle over an object at rest at x 0.5, y 0."""
 
-    def __init__(self, thing: ObjectModel) -> None:
-        self.model = build(thing, robot="hand")
-        self.data = mujoco.MjData(self.model)
-        self.rest = thing.rest_height()
-        self._object = self.model.joint("object").qposadr[0]
-        self._hand = self.model.joint("hand").qposadr[0]
-        joints = [self.model.joint(name) for name in ACTUATED]
-        self._fingers = np.array([j.qposadr[0] for j in joints])
-        self._coupled = np.array(
-            [
-                self.model.joint(f"{name[:-1]}3").qposadr[0]
-                for name in ACTUATED
-                if name.endswith("2")
-            ]
-        )
-        self._drives = np.array([self.model.actuator(name).id for name in ACTUATED])
-        kinds = [
-            (self.model.geom(i).contype[0], self.model.geom(i).type[0])
-            for i in range(self.model.ngeom)
-        ]
+    def __init__(self, target: ObjectModel) -> None:
+        super().__init__(build(target, robot="hand", gripper=HAND), HAND, target.rest_height())
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
         self._capsules = np.array(
-            [i for i, (c, t) in enumerate(kinds) if c == 2 and t == mujoco.mjtGeom.mjGEOM_CAPSULE]
-        )
-        self._of_hand = np.array(
-            [self.model.geom(i).contype[0] == 2 for i in range(self.model.ngeom)]
-        )
-        self._of_object = np.array(
-            [self.model.geom(i).name.startswith("object_") for i in range(self.model.ngeom)]
+            [g for g in self.hand_geoms if self.model.geom(g).type[0] == capsule]
         )
 
     def put(self, T_base_hand: Array, preshape: Array) -> None:
-        """The hand at a pose with its fingers preshaped, the object at rest at x 0.5, y 0."""
-        m, d = self.model, self.data
-        mujoco.mj_resetData(m, d)
-        d.qpos[self._object : self._object + 7] = [0.5, 0.0, self.rest, 1, 0, 0, 0]
-        d.qpos[self._hand : self._hand + 3] = T_base_hand[:3, 3]
-        d.qpos[self._hand + 3 : self._hand + 7] = quat_wxyz(T_base_hand[:3, :3])
-        d.mocap_pos[0], d.mocap_quat[0] = T_base_hand[:3, 3], quat_wxyz(T_base_hand[:3, :3])
-        d.qpos[self._fingers] = preshape
-        d.qpos[self._coupled] = preshape[2::3]
-        d.ctrl[self._drives] = preshape
-        mujoco.mj_kinematics(m, d)
-        mujoco.mj_comPos(m, d)
-        mujoco.mj_collision(m, d)
+        """The hand at a pose with its fingers preshaped, the object at rest."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.place_object(np.array([0.5, 0.0, self.rest, 1, 0, 0, 0]), np.zeros(6))
+        self.fly_to(np.concatenate([T_base_hand[:3, 3], quat_wxyz(T_base_hand[:3, :3])]))
+        self.place_fingers(preshape)
+        self.look()
 
     def put_palm(self, T_object_palm: Array, preshape: Array) -> None:
         """`put`, by a palm pose in the object's frame."""
-        self.put(at(0.5, 0.0, self.rest) @ T_object_palm @ invert(T_hand_palm), preshape)
+        self.put(at(0.5, 0.0, self.rest) @ T_object_palm @ invert(HAND.T_hand_palm), preshape)
 
     def touches(self) -> bool:
-        """Whether the hand overlaps anything."""
-        pairs = self.data.contact.geom
-        return bool(len(pairs) and self._of_hand[pairs].any())
+        """Whether the hand meets anything."""
+        touch = self.touch()
+        return touch.object or touch.other
 
     def lowest(self) -> float:
-        """Height of the hand's lowest finger point over the belt, m."""
-        ends = (
-            self.data.geom_xpos[self._capsules],
-            self.data.geom_xmat[self._capsules].reshape(-1, 3, 3)[:, :, 2],
-        )
-        z = ends[0][:, 2] - np.abs(ends[1][:, 2]) * self.model.geom_size[self._capsules, 1] - RADIUS
-        return float(z.min())
-
-    def overlap(self, anything: bool = False) -> float:
-        """Deepest overlap of the hand with the object, or with anything, m."""
-        pairs = self.data.contact.geom
-        if not len(pairs):
-            return 0.0
-        counted = self._of_hand[pairs].any(axis=1) & (anything | self._of_object[pairs].any(axis=1))
-        return float(max(0.0, -self.data.contact.dist[counted].min())) if counted.any() else 0.0
+        """Height m of the lowest point of the hand's capsules over the belt."""
+        places = self.data.geom_xpos[self._capsules]
+        axes = self.data.geom_xmat[self._capsules].reshape(-1, 3, 3)[:, :, 2]
+        radius, half = self.model.geom_size[self._capsules, :2].T
+        return float((places[:, 2] - np.abs(axes[:, 2]) * half - radius).min())
 
     def lifts(self, preshape: Array, shake: bool = False) -> bool:
-        """Close, lift, hold for 0.3 s; True if the object came along. `shake`: it must also stay through a shake of 2 g."""
-        m, d = self.model, self.data
-        start = d.mocap_pos[0].copy()
-        lifted = CLOSE_S + SETTLE_S + LIFT_S
-        steps = round((lifted + 0.3) / TIMESTEP)
-        for k in range(steps):
-            t = k * TIMESTEP
-            if shake and t > lifted:
-                d.mocap_pos[0, :2] = start[:2] + swing(t - lifted, SHAKE)
-            d.ctrl[self._drives] = finger_targets(t, preshape)
-            rise = float(np.clip((t - CLOSE_S - SETTLE_S) / LIFT_S, 0, 1))
-            d.mocap_pos[0, 2] = start[2] + LIFT_HEIGHT * rise * rise * (3 - 2 * rise)
-            mujoco.mj_step(m, d)
-            if k % 25 == 0 and rise > 0.5 and d.qpos[self._object + 2] < self.rest + 0.02:
-                return False
-        return bool(d.qpos[self._object + 2] > self.rest + 0.8 * LIFT_HEIGHT)
+        """Close, lift, hold for 0.3 s. `shake`: the object must also stay through a shake of 2 g."""
+        return self.lift_test(preshape, replace(LIFT_TEST, shake_m=SHAKE) if shake else LIFT_TEST)
 
 
 def candidate(rng: np.random.Generator, thing: ObjectModel) -> tuple[Array, Array]:
@@ -173,10 +116,7 @@ def candidate(rng: np.random.Generator, thing: ObjectModel) -> tuple[Array, Arra
     )
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, centre - R @ inside
-    preshape = np.zeros(15)
-    preshape[1::3], preshape[2::3] = rng.uniform(0.0, 0.6), rng.uniform(0.1, 0.6)
-    preshape[1] = rng.uniform(0.0, 0.2)  # the thumb stays open
-    return T, preshape
+    return T, HAND.random_preshape(rng)
 
 
 def search(thing: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[KnownGrasp]:
@@ -205,7 +145,7 @@ def search(thing: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[
             lifted += not world.touches() and world.lifts(preshape)
         if lifted / REPETITIONS >= 0.66:
             found.append(
-                KnownGrasp(T_object_base @ T @ T_hand_palm, preshape, lifted / REPETITIONS)
+                KnownGrasp(T_object_base @ T @ HAND.T_hand_palm, preshape, lifted / REPETITIONS)
             )
             if len(found) == n:
                 break

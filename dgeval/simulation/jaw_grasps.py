@@ -8,98 +8,66 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
-from dgeval.robots.dlr_hit_hand import quat_wxyz
-from dgeval.robots.parallel_jaw import (
-    CLOSE_S,
-    JOINT_NAMES,
-    OPEN,
-    OPENING,
-    T_hand_grasp,
-    finger_targets,
-)
-from dgeval.worlds.closing import swing
+from dgeval.robots.hand import hand_for
+from dgeval.robots.mjcf import quat_wxyz
+from dgeval.worlds.hand_and_object import HandAndObject, LiftTest
 from dgeval.worlds.objects import ObjectModel, at, surface_points
-from dgeval.worlds.scene import TIMESTEP, Camera, build
+from dgeval.worlds.scene import Camera, build
 
+HAND = hand_for("vfas")
+OPENING = HAND.opening or 0.0  # m between the pads
 PREGRASP_M = 0.10  # m before the grasp along its approach; ours, the paper gives no figure
-LIFT_M, LIFT_S, HOLD_S = 0.10, 0.5, 0.3
-SHAKE_M = 0.02  # m, to and fro at 5 Hz: 1 g
+# m, s: lift, hold, and a shake of 1 g to and fro at 5 Hz
+LIFT_TEST = LiftTest(settle_s=0.0, lift_s=0.5, height_m=0.10, hold_s=0.3, shake_m=0.02)
 
 
-class FlyingJaw:
+class FlyingJaw(HandAndObject):
     """A gripper on a handle over an object at rest at (0.5, 0), a second one near it or far away."""
 
     def __init__(
-        self, thing: ObjectModel, other: ObjectModel, cameras: tuple[Camera, ...] = ()
+        self, target: ObjectModel, other: ObjectModel, cameras: tuple[Camera, ...] = ()
     ) -> None:
-        self.thing, self.other = thing, other
-        self.model = build(thing, robot="hand", cameras=cameras, gripper="jaw", others=(other,))
-        self.data = mujoco.MjData(self.model)
-        m = self.model
-        geoms = [(g, m.geom(g)) for g in range(m.ngeom)]
-        self.of_hand = np.array([g.contype[0] == 2 for _, g in geoms])
-        self._of_table = np.array([g.name == "belt" for _, g in geoms])
-        self._at = {
-            name: int(m.joint(name).qposadr[0])
-            for name in ("object", "other_0", "hand", *JOINT_NAMES)
-        }
-        self._drives = [m.actuator(n).id for n in JOINT_NAMES]
+        self.target, self.other_model = target, other
+        model = build(target, robot="hand", cameras=cameras, gripper=HAND, others=(other,))
+        super().__init__(model, HAND, target.rest_height())
+        self._is_table = np.array([model.geom(g).name == "belt" for g in range(model.ngeom)])
+        self._other = int(model.joint("other_0").qposadr[0])
         self.T_base_other = at(3.0, 0, other.rest_height())
 
     def put(self, T_base_grasp: Array) -> None:
         """The open gripper at a pose, both objects at rest."""
-        d = self.data
-        mujoco.mj_resetData(self.model, d)
-        T = T_base_grasp @ invert(T_hand_grasp)
-        hand = np.concatenate([T[:3, 3], quat_wxyz(T[:3, :3])])
-        d.qpos[self._at["object"] :][:7] = [0.5, 0, self.thing.rest_height(), 1, 0, 0, 0]
-        d.qpos[self._at["other_0"] :][:7] = [
+        mujoco.mj_resetData(self.model, self.data)
+        T = T_base_grasp @ invert(HAND.T_hand_palm)
+        self.place_object(np.array([0.5, 0, self.rest, 1, 0, 0, 0]), np.zeros(6))
+        self.data.qpos[self._other :][:7] = [
             *self.T_base_other[:3, 3],
             *quat_wxyz(self.T_base_other[:3, :3]),
         ]
-        d.qpos[self._at["hand"] :][:7] = hand
-        d.mocap_pos[0], d.mocap_quat[0] = hand[:3], hand[3:]
-        d.qpos[[self._at[n] for n in JOINT_NAMES]] = OPEN
-        d.ctrl[self._drives] = OPEN
-        mujoco.mj_kinematics(self.model, d)
-        mujoco.mj_comPos(self.model, d)
-        mujoco.mj_collision(self.model, d)
+        self.fly_to(np.concatenate([T[:3, 3], quat_wxyz(T[:3, :3])]))
+        self.place_fingers(HAND.open)
+        self.look()
 
     def touches(self) -> tuple[bool, bool]:
-        """Whether the gripper overlaps an object, and the table, by more than 1 mm."""
+        """Whether the gripper penetrates an object, and the table, by more than 1 mm."""
         pairs, deep = self.data.contact.geom, self.data.contact.dist < -0.001
         if not len(pairs):
             return False, False
-        hand = self.of_hand[pairs].any(axis=1) & deep
-        table = hand & self._of_table[pairs].any(axis=1)
+        hand = self.is_hand[pairs].any(axis=1) & deep
+        table = hand & self._is_table[pairs].any(axis=1)
         return bool((hand & ~table).any()), bool(table.any())
 
     def free_way(self, T_base_grasp: Array) -> tuple[bool, bool]:
-        """Whether objects are in the way, or the table, of the advance from the pre-grasp pose."""
-        things = table = False
+        """Whether the advance from the pre-grasp pose is free of objects, and of the table."""
+        objects = table = False
         for back in np.linspace(0.0, PREGRASP_M, 5):
             self.put(T_base_grasp @ at(0, 0, -back))
-            a, b = self.touches()
-            things, table = things or a, table or b
-        return not things, not table
+            hits_object, hits_table = self.touches()
+            objects, table = objects or hits_object, table or hits_table
+        return not objects, not table
 
     def lifts(self) -> bool:
         """Close, lift, hold, shake; True if the object came along and stayed."""
-        m, d = self.model, self.data
-        start = d.mocap_pos[0].copy()
-        low = d.qpos[self._at["object"] + 2]
-        lifted = CLOSE_S + LIFT_S
-        for k in range(round((lifted + HOLD_S) / TIMESTEP)):
-            t = k * TIMESTEP
-            d.ctrl[self._drives] = finger_targets(t, OPEN)
-            rise = float(np.clip((t - CLOSE_S) / LIFT_S, 0, 1))
-            d.mocap_pos[0, 2] = start[2] + LIFT_M * rise * rise * (3 - 2 * rise)
-            if t > lifted:
-                d.mocap_pos[0, :2] = start[:2] + swing(t - lifted, SHAKE_M)
-            mujoco.mj_step(m, d)
-            if k % 25 == 0 and rise > 0.5 and d.qpos[self._at["object"] + 2] < low + 0.02:
-                return False
-        return bool(d.qpos[self._at["object"] + 2] > low + 0.8 * LIFT_M)
+        return self.lift_test(HAND.open, LIFT_TEST)
 
 
 def between_fingers(points: Array, T_grasp_points: Array) -> int:

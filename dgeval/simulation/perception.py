@@ -9,7 +9,6 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
-from dgeval.robots.dlr_hit_hand import T_hand_camera
 from dgeval.simulation.clouds import seen_from
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.sensors import (
@@ -108,7 +107,13 @@ class ModelledPerception:
                 np.radians(rng.normal(0, self._noise.angle, 3)),
             ]
         )
-        T = T_base_hand @ T_hand_camera @ T_camera_object @ self._bias @ increment(noise)
+        T = (
+            T_base_hand
+            @ world.gripper.T_hand_camera
+            @ T_camera_object
+            @ self._bias
+            @ increment(noise)
+        )
         T[:3, 3] += np.array(self._plan.faults.tracker_drift) * world.t
         return Sight(
             T,

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from dgeval.config import Config, read_toml, validated
 from dgeval.determinism import generator
 from dgeval.errors import Place, UsageError
-from dgeval.robots.hand import FIVE_FINGERS, JAW, Gripper
+from dgeval.robots.hand import Hand, hand_named
 from dgeval.simulation.faults import Faults, draw
 from dgeval.simulation.setting import Turn
 from dgeval.worlds.objects import ObjectModel
@@ -143,8 +143,8 @@ class Scenario(_Section):
         return self.pipeline.pipeline == "vfas"
 
     @property
-    def gripper(self) -> Gripper:
-        return JAW if self.vfas else FIVE_FINGERS
+    def gripper(self) -> Hand:
+        return hand_named("parallel_jaw" if self.vfas else "dlr_hit_hand")
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from dgeval.geometry import Array, increment, invert, transform
 from dgeval.perception.pipeline import Perception
 from dgeval.recording.frame import Frame
 from dgeval.robots.description import Description, LinkShape, load_description
-from dgeval.robots.dlr_hit_hand import T_hand_camera
 from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.perception import Sight
 from dgeval.simulation.render import Eyes
@@ -67,7 +66,10 @@ class RenderedPerception:
         self._eyes, self._plan = eyes, plan
         self._perception = Perception(config.model_copy(update={"seed": plan.seed}))
         self._hand = load_description(
-            robot_urdf(T_hand_camera), "the simulated robot", (), config.self_filter.radius_default
+            robot_urdf(scenario.gripper.T_hand_camera, scenario.gripper),
+            "the simulated robot",
+            (),
+            config.self_filter.radius_default,
         )
         self._T_model_object: Array | None = None
         self._bias = increment(np.array(plan.faults.registration_bias))

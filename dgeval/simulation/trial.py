@@ -18,14 +18,12 @@ from dgeval.planning.grasps import Feasible
 from dgeval.planning.schedule import Delayed
 from dgeval.planning.selection import by_metric, grasp_metric
 from dgeval.planning.servo import Servo
-from dgeval.robots.dlr_hit_hand import MAX_SPEED, T_hand_camera
 from dgeval.simulation.perception import Perceiver
 from dgeval.simulation.proposals import GraspSource, Proposals
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import FINISH_S, Finish, Finisher, Snapshot, World, home
 from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
 
-OPEN = np.tile([0.0, 0.15, 0.25], 5)  # fingers before a grasp is chosen
 MAX_TWIST = np.array([0.7, 0.7, 0.7, 2.0, 2.0, 2.0])  # m/s, rad/s
 REACHED = 1e-3  # m + 0.1 m per rad, of the inverse kinematics
 REACH = 0.62  # m along the belt; beyond it the arm gives up
@@ -45,7 +43,7 @@ class Usable:
 class Tick:
     """One control period: state before it, and what the robot believed and commanded in it.
 
-    preshape (15,): of the grasp chosen. contact, foreign: the hand touches the object, or anything else. distance: hand to
+    preshape (15,): of the grasp chosen. touch.object, touch.other: the hand touches the object, or anything else. distance: hand to
     object, m, up to NEAR, in every third period of the approach.
     """
 
@@ -81,12 +79,12 @@ class Run:
     """A finished trial. `close` is the period of the close command, None if it never came."""
 
     plan: Plan
+    preshape: Array
     ticks: list[Tick] = field(default_factory=list)
     frames: list[FrameBelief] = field(default_factory=list)
     dropped: list[int] = field(default_factory=list)
     close: int | None = None
     finish: Finish | None = None
-    preshape: Array = field(default_factory=lambda: OPEN.copy())
     T_base_seed: Array | None = None
 
 
@@ -99,19 +97,20 @@ def run_trial(
     plan: Plan, scenario: Scenario, world: World, grasps: GraspSource, perceiver: Perceiver
 ) -> Run:
     """Simulate one trial from start to 1.6 s after the lift, or until it gives up."""
-    run = Run(plan)
+    hand = world.gripper
+    run = Run(plan, hand.open.copy())
     config = scenario.pipeline
     faults = plan.faults
-    world.start(home(world.kinematics, plan.home_y), OPEN, plan.x, plan.y, plan.yaw, plan.speed)
+    world.start(home(world, plan.home_y), hand.open, plan.x, plan.y, plan.yaw, plan.speed)
     velocity_filter = VelocityFilter(config.estimation)
-    servo = Servo(config.servo)
+    servo = Servo(config.servo, hand)
     arriving: Delayed[Usable] = Delayed(config.schedule.perception_latency_s + faults.latency)
     frames = set(frame_ticks(scenario.camera.rate, scenario.max_seconds + FINISH_S + 1))
     usable: Usable | None = None
     due: int | None = None
     chooser = _Chooser(world)
     kept: tuple[Array, Array] | None = None
-    fingers = OPEN.copy()
+    fingers = hand.open.copy()
     finisher: Finisher | None = None
     n_frame = 0
     tick = 0
@@ -139,14 +138,14 @@ def run_trial(
                 run.frames.append(FrameBelief(n_frame, tick, sight is not None, T, velocity))
                 if T is not None and velocity is not None:
                     proposals = grasps.propose(
-                        n_frame, seen, T, world.T_base_hand() @ T_hand_camera, kept
+                        n_frame, seen, T, world.T_base_hand() @ hand.T_hand_camera, kept
                     )
                     arriving.step(t_ns, Usable(tick * CONTROL_S, T, velocity, proposals))
             n_frame += 1
         newest = arriving.at(t_ns)
         usable = newest[1] if newest else None
         snapshot = world.save()
-        contact, foreign = world.touching()
+        touch = world.touch()
         if finisher is not None:
             tick_record = Tick(
                 snapshot,
@@ -157,8 +156,8 @@ def run_trial(
                 np.zeros(6),
                 None,
                 True,
-                contact,
-                foreign,
+                touch.object,
+                touch.other,
                 None,
             )
             run.ticks.append(tick_record)
@@ -193,7 +192,7 @@ def run_trial(
                     t_ns,
                     palm,
                     T_grasp,
-                    world.T_base_hand() @ T_hand_camera,
+                    world.T_base_hand() @ hand.T_hand_camera,
                     T_object[:3, 3],
                     velocity_now,
                 )
@@ -221,8 +220,8 @@ def run_trial(
                 twist,
                 score,
                 fire,
-                contact,
-                foreign,
+                touch.object,
+                touch.other,
                 distance,
             )
         )
@@ -234,7 +233,9 @@ def run_trial(
             finisher.step()
             tick += 1
             continue
-        fingers += np.clip(run.preshape - fingers, -MAX_SPEED * CONTROL_S, MAX_SPEED * CONTROL_S)
+        fingers += np.clip(
+            run.preshape - fingers, -hand.drive_speed * CONTROL_S, hand.drive_speed * CONTROL_S
+        )
         world.command(world.kinematics.joint_velocity(world.q_set, twist), fingers)
         world.advance()
         tick += 1

@@ -152,7 +152,7 @@ class Prover:
         w = self.world
         w.restore(self.run.ticks[k].snapshot)
         w.put_object(self.twin[k, :7], self.twin[k, 7:])
-        overlap = w.overlap()
+        overlap = w.penetration()
         return overlap, Finisher(w, self.run.ticks[k].velocity, self.run.preshape).finish().success
 
     def free_pose(self) -> bool:
@@ -172,7 +172,7 @@ class Prover:
             if w.put_arm(w.T_base_palm() @ increment(move)) > 1e-3:
                 continue
             w.put_object(self.twin[self.end, :7], self.twin[self.end, 7:])
-            if w.overlap() <= 1e-4:
+            if w.penetration() <= 1e-4:
                 return Finisher(w, tick.velocity, self.run.preshape).finish().success
         return False
 
@@ -187,7 +187,7 @@ class Prover:
                     > 1e-3
                 ):
                     continue
-                if w.overlap() > 0.002:
+                if w.penetration() > 0.002:
                     continue
                 if Finisher(w, tick.velocity, self.run.preshape).finish().success:
                     return step

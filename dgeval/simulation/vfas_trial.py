@@ -14,7 +14,6 @@ from dgeval.planning.schedule import Delayed
 from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
 from dgeval.planning.vfas.selection import Selected
 from dgeval.robots.description import load_description
-from dgeval.robots.parallel_jaw import OPEN
 from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.jaw_grasps import search
 from dgeval.simulation.render import Eyes
@@ -60,7 +59,7 @@ def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
     if world.presenter is not None:
         q, residual = world.kinematics.solve(waiting_pose(), NEAR_HOME)
         return Seed(None, q) if residual < REACHED else None
-    world.start(NEAR_HOME, OPEN, plan.x, plan.y, plan.yaw, 0.0)
+    world.start(NEAR_HOME, world.gripper.open, plan.x, plan.y, plan.yaw, 0.0)
     T_base_object = world.T_base_object()
     known = known_jaw_grasps(world)
     half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])  # the same grasp, the camera on the other side
@@ -75,7 +74,10 @@ def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
             T @ at(0, 0, -share * scenario.pipeline.vfas.pregrasp)
             for share in np.linspace(1.0, 0.0, WAYPOINTS)
         )
-        if all(world.put_arm(way) < REACHED and not any(world.touching()) for way in ways):
+        if all(
+            world.put_arm(way) < REACHED and not (world.touch().object or world.touch().other)
+            for way in ways
+        ):
             error = scenario.seed_error
             xi = np.concatenate(
                 [rng.normal(0, error.position, 3), rng.normal(0, np.radians(error.angle), 3)]
@@ -91,11 +93,13 @@ def run_vfas(
     plan: Plan, scenario: Scenario, world: World, eyes: Eyes
 ) -> tuple[Run, dict[int, Images]]:
     """Simulate one trial to 1.6 s after the lift, or until it gives up. Also gives the images, by frame."""
-    run = Run(plan, preshape=OPEN.copy())
+    run = Run(plan, preshape=world.gripper.open.copy())
     kept: dict[int, Images] = {}
     config = scenario.pipeline.model_copy(update={"seed": plan.seed * 100_003 + plan.index})
     seed = seed_for(plan, scenario, world)
-    world.start(NEAR_HOME if seed is None else seed.q_arm, OPEN, plan.x, plan.y, plan.yaw, 0.0)
+    world.start(
+        NEAR_HOME if seed is None else seed.q_arm, world.gripper.open, plan.x, plan.y, plan.yaw, 0.0
+    )
     if seed is None:
         run.ticks.append(
             Tick(
@@ -142,7 +146,7 @@ def run_vfas(
             n_frame += 1
         newest = arriving.at(t_ns)
         snapshot = world.save()
-        contact, foreign = world.touching()
+        touch = world.touch()
         still = np.zeros(3)
         if finisher is not None:
             run.ticks.append(
@@ -155,8 +159,8 @@ def run_vfas(
                     np.zeros(6),
                     None,
                     True,
-                    contact,
-                    foreign,
+                    touch.object,
+                    touch.other,
                     None,
                 )
             )
@@ -187,8 +191,8 @@ def run_vfas(
                 twist,
                 score,
                 execute,
-                contact,
-                foreign,
+                touch.object,
+                touch.other,
                 distance,
             )
         )
@@ -202,7 +206,7 @@ def run_vfas(
                 finisher.step()
                 tick += 1
                 continue
-        world.command(world.kinematics.joint_velocity(world.q_set, twist), OPEN)
+        world.command(world.kinematics.joint_velocity(world.q_set, twist), world.gripper.open)
         world.advance()
         tick += 1
         if tick * CONTROL_S > scenario.max_seconds or world.data.qpos[world.object + 2] < -0.1:

@@ -11,21 +11,20 @@ import numpy as np
 from dgeval.geometry import Array, transform
 from dgeval.robots.diana7 import DAMPING, STIFFNESS, ArmKinematics
 from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
-from dgeval.robots.dlr_hit_hand import CLOSE_S, T_hand_palm
-from dgeval.robots.hand import FIVE_FINGERS, Gripper
+from dgeval.robots.dlr_hit_hand import CLOSE_S
+from dgeval.robots.hand import Hand
 from dgeval.simulation.setting import Setting, present
 from dgeval.worlds.closing import (
     CONTROL_S,
     LIFT_S,
-    MAX_FROM_HAND,
-    MIN_LIFT,
     SETTLE_S,
     SUBSTEPS,
     finishing_twist,
 )
+from dgeval.worlds.hand_and_object import HandAndObject
 from dgeval.worlds.objects import ObjectModel
-from dgeval.worlds.presenter import GRIP, GRIPPED_N, RELEASE_S
-from dgeval.worlds.scene import TURNTABLE_TOP, Camera, build, finger_forces, least_distance, pose_of
+from dgeval.worlds.presenter import GRIPPED_N, RELEASE_S
+from dgeval.worlds.scene import TURNTABLE_TOP, Camera, build, pose_of
 
 HOLD_S = 1.6  # recorded after the lift
 SUCCESS_HOLD_S = 1.0  # after the lift ends (SIMULATION section 5)
@@ -41,8 +40,8 @@ class Snapshot:
     q_set: Array
 
 
-class World:
-    """One compiled world and its state. Times are physics steps from 0; base frame = arm's base."""
+class World(HandAndObject):
+    """The hand on its arm, the belt and the object, stepped in time. Base frame = the arm's base."""
 
     def __init__(
         self,
@@ -50,32 +49,19 @@ class World:
         belt_speed: float,
         cameras: tuple[Camera, ...] = (),
         setting: Setting | None = None,
-        gripper: Gripper = FIVE_FINGERS,
+        *,
+        gripper: Hand,
     ) -> None:
-        self.thing, self.gripper, self.setting = thing, gripper, setting or Setting()
+        self.thing, self.setting = thing, setting or Setting()
         self.presenter = self.setting.presenter
-        self.model = _built(thing, belt_speed, "arm", cameras, self.setting, gripper)
-        self.data = mujoco.MjData(self.model)
+        model = _built(thing, belt_speed, "arm", cameras, self.setting, gripper)
+        top = TURNTABLE_TOP if self.setting.turn is not None else 0.0
+        super().__init__(model, gripper, thing.rest_height() + top)
         self.kinematics = ArmKinematics(gripper.T_hand_palm)
-        m = self.model
-        self.arm = np.array([m.joint(n).qposadr[0] for n in ARM_JOINTS])
-        self.arm_dof = np.array([m.joint(n).dofadr[0] for n in ARM_JOINTS])
-        self.fingers = np.array([m.joint(n).qposadr[0] for n in gripper.joints])
-        self.finger_dof = np.array([m.joint(n).dofadr[0] for n in gripper.joints])
-        self.object = int(m.joint("object").qposadr[0])
-        self.object_dof = int(m.joint("object").dofadr[0])
-        self._arm_drives = np.array([m.actuator(n).id for n in ARM_JOINTS])
-        self._finger_drives = np.array([m.actuator(n).id for n in gripper.drives])
-        solid = [(g, m.geom(g)) for g in range(m.ngeom)]
-        self.hand_geoms = [g for g, geom in solid if geom.contype[0] == 2]
-        self.object_geoms = [g for g, geom in solid if geom.name.startswith("object_")]
-        self._is_hand = np.zeros(m.ngeom, bool)
-        self._is_hand[self.hand_geoms] = True
-        self._is_object = np.zeros(m.ngeom, bool)
-        self._is_object[self.object_geoms] = True
-        self._size = mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self.arm = np.array([model.joint(n).qposadr[0] for n in ARM_JOINTS])
+        self.arm_dof = np.array([model.joint(n).dofadr[0] for n in ARM_JOINTS])
+        self._arm_drives = np.array([model.actuator(n).id for n in ARM_JOINTS])
         self.q_set = np.zeros(7)
-        self.rest = thing.rest_height() + (TURNTABLE_TOP if self.setting.turn is not None else 0.0)
 
     def start(
         self, q_arm: Array, preshape: Array, x: float, y: float, yaw: float, object_velocity: float
@@ -113,25 +99,19 @@ class World:
         self.q_set = self.q_set + dq * CONTROL_S
         # telling the drive the speed too cancels the lag that its damping would cause
         self.data.ctrl[self._arm_drives] = self.q_set + dq * (DAMPING / STIFFNESS)
-        self.data.ctrl[self._finger_drives] = fingers
+        self.data.ctrl[self.drives] = fingers
 
     def save(self) -> Snapshot:
-        state = np.empty(self._size)
-        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        return Snapshot(self.t, state, self.q_set.copy())
+        return Snapshot(self.t, self.state(), self.q_set.copy())
 
     def restore(self, snapshot: Snapshot) -> None:
-        mujoco.mj_setState(
-            self.model, self.data, snapshot.state, mujoco.mjtState.mjSTATE_INTEGRATION
-        )
+        self.set_state(snapshot.state)
         self.q_set = snapshot.q_set.copy()
         mujoco.mj_forward(self.model, self.data)
 
     def put_object(self, pose_wxyz: Array, velocity: Array) -> None:
         """Object to a pose (7,) in MuJoCo's order and velocity (6,); call after restore."""
-        self.data.qpos[self.object : self.object + 7] = pose_wxyz
-        self.data.qvel[self.object_dof : self.object_dof + 6] = velocity
-        self.data.qacc_warmstart[:] = 0
+        self.place_object(pose_wxyz, velocity)
         mujoco.mj_forward(self.model, self.data)
 
     def put_arm(self, T_base_palm: Array) -> float:
@@ -139,7 +119,7 @@ class World:
         q, residual = self.kinematics.solve(T_base_palm, self.q_set, 60)
         self.data.qpos[self.arm] = self.q_set = q
         self.data.qacc_warmstart[:] = 0
-        self.command(np.zeros(7), self.data.ctrl[self._finger_drives].copy())
+        self.command(np.zeros(7), self.data.ctrl[self.drives].copy())
         mujoco.mj_forward(self.model, self.data)
         return residual
 
@@ -151,23 +131,6 @@ class World:
 
     def T_base_object(self) -> Array:
         return pose_of(self.data, "object")
-
-    def touching(self) -> tuple[bool, bool]:
-        """Whether the hand touches the object, and anything else."""
-        pairs = self.data.contact.geom
-        if not len(pairs):
-            return False, False
-        hand = self._is_hand[pairs].any(axis=1)
-        thing = self._is_object[pairs].any(axis=1)
-        return bool((hand & thing).any()), bool((hand & ~thing).any())
-
-    def overlap(self) -> float:
-        """Deepest overlap of hand and object, m, 0 without contact."""
-        pairs = self.data.contact.geom
-        if not len(pairs):
-            return 0.0
-        both = self._is_hand[pairs].any(axis=1) & self._is_object[pairs].any(axis=1)
-        return float(max(0.0, -self.data.contact.dist[both].min())) if both.any() else 0.0
 
     def hand_distance(self, limit: float) -> float:
         """Least distance of hand and object, m, at most `limit`."""
@@ -181,34 +144,15 @@ class World:
             > reach + 0.15
         ):
             return limit
-        return least_distance(m, d, self.hand_geoms, self.object_geoms, limit)
-
-    def finger_forces(self) -> Array:
-        """Sum of normal contact forces on each finger, N."""
-        names = {g: self.model.geom(g).name for g in self.hand_geoms}
-        return finger_forces(self.model, self.data, names, self.gripper.fingers)
+        return self.distance(limit)
 
     def advance(self, steps: int = SUBSTEPS) -> None:
         self.setting.drive(self.model, self.data)
         mujoco.mj_step(self.model, self.data, steps)
 
-    @property
-    def held_by_presenter(self) -> bool:
-        return self.presenter is not None and bool(
-            self.data.eq_active[self.model.equality(GRIP).id]
-        )
-
-    def hand_over(self) -> None:
-        """The presenter lets go."""
-        self.data.eq_active[self.model.equality(GRIP).id] = 0
-
-    def in_hand(self) -> bool:
-        """The object is off its support by MIN_LIFT, touches the hand and is where hands hold things."""
-        T = self.T_base_object()
-        if T[2, 3] < self.rest + MIN_LIFT or not self.touching()[0] or self.held_by_presenter:
-            return False
-        centre = transform(self.T_base_hand(), self.gripper.centre[None])[0]
-        return bool(np.linalg.norm(T[:3, 3] - centre) < MAX_FROM_HAND)
+    def lifted(self) -> bool:
+        """The object is off its support, in the hand, and let go of."""
+        return self.in_hand(self.T_base_hand(), self.data.body("object").xpos)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,11 +199,11 @@ class Finisher:
         w = self.world
         lift = self.ticks * CONTROL_S - CLOSE_S - SETTLE_S
         self._succeeded = False
-        if 0.2 * LIFT_S < lift < LIFT_S and not w.touching()[0]:
+        if 0.2 * LIFT_S < lift < LIFT_S and not w.touch().object:
             return True
         if lift > 0.45 * LIFT_S and w.data.qpos[w.object + 2] < w.rest + 0.01:
             return True
-        if lift >= LIFT_S and not w.in_hand():
+        if lift >= LIFT_S and not w.lifted():
             return True
         self._succeeded = lift > LIFT_S + SUCCESS_HOLD_S
         return self._succeeded
@@ -277,11 +221,11 @@ def _built(
     robot: Literal["arm", "none"],
     cameras: tuple[Camera, ...],
     setting: Setting,
-    g: Gripper,
+    gripper: Hand | None,
 ) -> mujoco.MjModel:
     others = tuple(o[0] for o in setting.others)
     presented, turntable = setting.presenter is not None, setting.turn is not None
-    return build(thing, belt_speed, robot, cameras, presented, g.name, others, turntable)
+    return build(thing, belt_speed, robot, cameras, presented, gripper, others, turntable)
 
 
 def twin_path(
@@ -296,7 +240,7 @@ def twin_path(
     """The object without any robot: rows (pose 7, velocity 6) in MuJoCo's order, one per control period from t = 0."""
     setting = setting or Setting()
     presenter = setting.presenter
-    model = _built(thing, belt_speed, "none", (), setting, FIVE_FINGERS)
+    model = _built(thing, belt_speed, "none", (), setting, None)
     data = mujoco.MjData(model)
     z = thing.rest_height() + (TURNTABLE_TOP if setting.turn is not None else 0.0)
     data.qpos[:7] = [x, y, z, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
@@ -323,13 +267,13 @@ def matrix_of(pose_wxyz: Array) -> Array:
     return T
 
 
-def home(kinematics: ArmKinematics, y: float, height: float = 0.54) -> Array:
+def home(world: World, y: float, height: float = 0.54) -> Array:
     """Arm joints (7,) with the hand over the belt pointing straight down, its palm normal along base +x."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[:3, 3] = (0.36, y, height)
     turn = np.arctan2(y, 0.45)
-    q, residual = kinematics.solve(
-        T @ T_hand_palm, np.array([turn, -0.37, 0.0, 2.32, 0.0, -1.19, -turn])
+    q, residual = world.kinematics.solve(
+        T @ world.gripper.T_hand_palm, np.array([turn, -0.37, 0.0, 2.32, 0.0, -1.19, -turn])
     )
     if residual > 1e-4:
         raise ValueError(f"the arm does not reach its home over y = {y} m")

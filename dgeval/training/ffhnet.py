@@ -17,11 +17,13 @@ from dgeval.determinism import generator
 from dgeval.errors import UsageError
 from dgeval.geometry import Array, invert
 from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, palms_of
-from dgeval.robots.dlr_hit_hand import GRASP_CENTRE, T_hand_palm
+from dgeval.robots.hand import hand_for
 from dgeval.training.grasp_data import GraspData, read_grasps
 from dgeval.training.loop import optimise
 from dgeval.training.views import views_of
 from dgeval.worlds.objects import procedural_object
+
+HAND = hand_for("ffhnet")
 
 Kind = Literal["generator", "evaluator", "evaluator_fingers"]
 # weights of the generator's loss (PAPERS section 1.5): translation, rotation, joints, KL
@@ -163,7 +165,7 @@ def batch_of(
         elif kind == "retreated":
             back = np.eye(4)
             back[2, 3] = -rng.uniform(*RETREAT_M)  # the hand's z runs along its fingers
-            T = T @ invert(T_hand_palm) @ back @ T_hand_palm
+            T = T @ invert(HAND.T_hand_palm) @ back @ HAND.T_hand_palm
         T = thing.T_view_object[view] @ T
         if kind == "hard":
             T = _hard(T, rng)
@@ -176,7 +178,7 @@ def batch_of(
 def _lifted_off(T_object_palm: Array, top: float, rng: np.random.Generator) -> Array:
     """The palm raised until the grasp centre is over the object, and up to 20 cm more."""
     T = T_object_palm.copy()
-    centre = (T @ invert(T_hand_palm) @ np.append(GRASP_CENTRE, 1.0))[2]
+    centre = (T @ invert(HAND.T_hand_palm) @ np.append(HAND.centre, 1.0))[2]
     T[2, 3] += max(top + CLEARANCE - centre, 0.0) + rng.uniform(0, 0.2)
     return T
 

@@ -30,10 +30,12 @@ from dgeval.planning.grasps import (
     propose,
 )
 from dgeval.recording.containers.container import sha256_of
-from dgeval.robots.dlr_hit_hand import T_hand_palm
+from dgeval.robots.hand import hand_for
 from dgeval.simulation.grasps import FlyingHand, candidate
 from dgeval.training.views import cloud_of, views_of
 from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_points
+
+HAND = hand_for("ffhnet")
 
 VERSION = 2  # of what is drawn below: files of another one are made again
 NOISE_SCALES = (
@@ -84,7 +86,7 @@ def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
         T, preshape = candidate(generator(seed, f"grasps/{thing.name}", k), thing)
         world.put(T, preshape)
         if world.touches():
-            if overlaps < tried // 4 and world.overlap() > OVERLAP:
+            if overlaps < tried // 4 and world.penetration() > OVERLAP:
                 rows.append((T, preshape, False, True))
                 overlaps += 1
             continue
@@ -99,7 +101,7 @@ def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
         k += 1
         world.put(T, preshape)
         if world.touches():
-            if overlaps < tried // 2 and world.overlap() > OVERLAP:
+            if overlaps < tried // 2 and world.penetration() > OVERLAP:
                 rows.append((T, preshape, False, True))
                 overlaps += 1
         elif attempt(T, preshape):
@@ -110,7 +112,7 @@ def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
         if not world.touches():
             attempt(T, preshape)
     return GraspData(
-        np.array([T_object_base @ T @ T_hand_palm for T, _, _, _ in rows]),
+        np.array([T_object_base @ T @ HAND.T_hand_palm for T, _, _, _ in rows]),
         np.array([p for _, p, _, _ in rows]),
         np.array([h for _, _, h, _ in rows]),
         np.array([o for _, _, _, o in rows]),
@@ -140,7 +142,7 @@ def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: in
         )
         for T, q in zip(invert(view.T_view_object) @ T_view_palm, drawn, strict=True):
             world.put_palm(T, q)
-            deep = world.overlap(anything=True) > LIGHT_TOUCH
+            deep = world.penetration(anything=True) > LIGHT_TOUCH
             poses.append(T)
             joints.append(q)
             overlapping.append(deep)
@@ -154,7 +156,7 @@ def holds(world: FlyingHand, T_object_palm: Array, joints: Array) -> bool:
     A view says nothing of the far side, so many that look free lie in it; physics alone would push them out and lift.
     """
     world.put_palm(T_object_palm, joints)
-    return world.overlap(anything=True) <= LIGHT_TOUCH and world.lifts(joints, shake=True)
+    return world.penetration(anything=True) <= LIGHT_TOUCH and world.lifts(joints, shake=True)
 
 
 def free_on_table(

@@ -21,12 +21,14 @@ from dgeval import __version__
 from dgeval.determinism import generator, limit_threads
 from dgeval.geometry import Array, invert, transform
 from dgeval.planning.vfas.selection import perturbed
-from dgeval.robots.parallel_jaw import T_hand_camera
+from dgeval.robots.hand import hand_for
 from dgeval.simulation.jaw_grasps import FlyingJaw, between_fingers, seed_pose
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.sensors import D405, depth_intrinsics
 from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_points
 from dgeval.worlds.scene import Camera, pose_of
+
+HAND = hand_for("vfas")
 
 VERSION = 1
 SIZE = 160, 120  # px of the drawn view; some three thousand points in the crop
@@ -35,7 +37,7 @@ NEAR = 0.16  # m about the grasp, of what is kept
 PER_SEED = 24  # poses round each seed
 OTHER_SHARE = 0.4  # of scenes with a second object near
 CAMERAS = tuple(
-    Camera(name, depth_intrinsics(D405, *SIZE), T_hand_camera) for name in ("colour", "depth")
+    Camera(name, depth_intrinsics(D405, *SIZE), HAND.T_hand_camera) for name in ("colour", "depth")
 )
 GRAZING = np.cos(np.radians(80.0))  # of the angle between normal and ray
 
@@ -73,10 +75,10 @@ def view(
     along = np.abs((normal * camera).sum(-1)) / np.maximum(
         np.linalg.norm(normal, axis=-1) * np.linalg.norm(camera, axis=-1), 1e-12
     )
-    T_base_camera = pose_of(world.data, "hand_base") @ T_hand_camera
+    T_base_camera = pose_of(world.data, "hand_base") @ HAND.T_hand_camera
     base = transform(T_base_camera, camera.reshape(-1, 3))
     local = transform(invert(T_base_seed), base)
-    own = eyes.mask_of(np.flatnonzero(world.of_hand).tolist()).ravel()
+    own = eyes.mask_of(np.flatnonzero(world.is_hand).tolist()).ravel()
     kept = np.flatnonzero(
         (depth.ravel() > D405.min_range) & (np.abs(local).max(axis=1) < NEAR) & ~own
     )

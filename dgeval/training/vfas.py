@@ -21,8 +21,7 @@ from dgeval.geometry import Array, invert
 from dgeval.networks.point_sets import crop
 from dgeval.networks.pointnet2 import CROP_HIGH, CROP_LOW, VFAS, GraspEvaluator, save_evaluator
 from dgeval.parallel import write_all
-from dgeval.planning.vfas.selection import LEAST_POINTS
-from dgeval.robots.parallel_jaw import link_points
+from dgeval.planning.vfas.selection import LEAST_POINTS, gripper_points
 from dgeval.training.jaw_data import Scene, read_scenes, write_scenes
 from dgeval.training.loop import optimise
 from dgeval.training.ship import scores_of
@@ -106,7 +105,7 @@ def train(
     torch.manual_seed(settings.seed)
     network = GraspEvaluator(VFAS)
     gripper = torch.from_numpy(
-        link_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
+        gripper_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
     )[None]
 
     def loss_of(step: int) -> tuple[Tensor, dict[str, float]]:
@@ -132,7 +131,7 @@ def train(
 def measure(network: GraspEvaluator, scenes: list[Scene], n: int, seed: int) -> dict[str, float]:
     """ROC-AUC, Brier, calibration error over n random poses of scenes, as they are drawn."""
     gripper = torch.from_numpy(
-        link_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
+        gripper_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
     )[None]
     points: list[NDArray[np.float32]] = []
     held: list[bool] = []

@@ -14,7 +14,7 @@ from dgeval.recording.contract import CLOSE_EVENT, COMMAND_TOPIC, VELOCITY_TOPIC
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
 from dgeval.robots.dlr_hit_hand import CLOSE_S
-from dgeval.robots.hand import Gripper, gripper_of
+from dgeval.robots.hand import Hand, hand_of
 from dgeval.verdict.beliefs import Beliefs, beliefs_of
 from dgeval.worlds.closing import CONTROL_S, SETTLE_S
 
@@ -70,7 +70,7 @@ class Scene:
     sd_deg: float
     close: int | None
     seen: Array
-    gripper: Gripper
+    gripper: Hand
     beliefs: Beliefs | Unknown
     held: bool = False
 
@@ -88,7 +88,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
     if description is None or base is None:
         return Unknown("no robot description and base frame: the hand's geometry is not known")
     mounts = {j.name: j.parent for j in description.joints.values()}
-    gripper = gripper_of(mounts)
+    gripper = hand_of(mounts)
     if gripper is None:
         return Unknown(
             "the twin knows the DLR-HIT Hand II and dgeval's jaw gripper only, and the description's joints are not theirs"
@@ -193,9 +193,7 @@ def _rises(hindsight: Hindsight, T_support_base: Array, end_ns: int) -> bool:
     )
 
 
-def _going(
-    trial: Trial, gripper: Gripper, hands: Array, T_support_base: Array, end_ns: int
-) -> Array:
+def _going(trial: Trial, gripper: Hand, hands: Array, T_support_base: Array, end_ns: int) -> Array:
     """Twist (6,) of the hand's frame at the end of the approach, support axes."""
     commands = [
         v

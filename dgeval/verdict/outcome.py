@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgeval.failure_rule import Outcome, OutcomeSource
-from dgeval.geometry import Array, transform
+from dgeval.geometry import transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.contract import (
@@ -18,12 +18,10 @@ from dgeval.recording.contract import (
     TRIAL_END_EVENT,
 )
 from dgeval.recording.trials import Trial
-from dgeval.robots.hand import FIVE_FINGERS, JAW
+from dgeval.robots.hand import hands
 
 AFTER_S = 1.0  # after the close, from which fingers at rest tell what they hold
 LAST_S = 0.5  # of the log, over which efforts are judged
-HELD_M = 0.002  # between closed jaws; walls of cups are 3 mm and more
-HELD_NM = 0.05  # mean effort of a finger's flexion joints that presses on something; empty ones show up to 0.01
 IN_HAND_M, AWAY_M = 0.04, 0.10  # from the object's middle to the hand
 STEADY_M = (
     0.02  # half of the sightings after the lift agree on the height to within that, or say nothing
@@ -101,39 +99,20 @@ def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
 
 
 def _pressing(trial: Trial, last_ns: int) -> tuple[bool, str] | None:
-    """What the fingers say at the end; None without efforts of a known hand."""
+    """What the fingers say at the end; None without the signals of a known hand."""
     first_ns = last_ns - round(LAST_S * 1e9)
     samples = [
         s
         for s in trial.scan.joints.get(trial.roles.hand_joints or "", [])
         if first_ns <= s.t_ns <= last_ns
     ]
-    if samples and all(name in samples[-1].positions for name in JAW.joints):
-        return between_jaws(
-            np.array([[s.positions[n] for n in JAW.joints if n in s.positions] for s in samples])
-        )
-    flexion = [n for n in FIVE_FINGERS.drives if not n.endswith("_0")]
-    rows = [
-        [s.efforts[n] for n in flexion] for s in samples if all(n in s.efforts for n in flexion)
-    ]
-    return None if len(rows) < 5 else grip(np.array(rows))
-
-
-def between_jaws(positions: Array) -> tuple[bool, str]:
-    """Whether closed jaws hold something, by how far (n, 2) m they are from meeting over some time."""
-    gap = float(np.median(positions.sum(axis=1)))
-    said = f"the jaws are {gap * 1000:.0f} mm apart at the end"
-    return (True, said) if gap > HELD_M else (False, f"{said}: they hold nothing")
-
-
-def grip(efforts: Array) -> tuple[bool, str]:
-    """Whether a hand holds something by its fingers' flexion efforts (n, 10) Nm over some time, two joints per finger."""
-    effort: Array = np.abs(np.mean(efforts, axis=0)).reshape(5, 2).max(axis=1)
-    pressing = int((effort > HELD_NM).sum())
-    listed = ", ".join(f"{v:.2f}" for v in effort)
-    if pressing >= 2:
-        return True, f"{pressing} fingers still press at the end ({listed} Nm)"
-    return False, f"the fingers hold nothing at the end ({listed} Nm)"
+    for hand in hands():
+        grip = hand.grip
+        values = [s.positions if grip.signal == "position" else s.efforts for s in samples]
+        rows = [[v[n] for n in grip.joints] for v in values if all(n in v for n in grip.joints)]
+        if len(rows) >= grip.least:
+            return grip.holds(np.array(rows))
+    return None
 
 
 def _seen_after(

@@ -20,16 +20,15 @@ from dgeval.worlds.closing import (
     AFTER_CLOSE_S,
     CONTROL_S,
     LIFT_S,
-    MAX_FROM_HAND,
-    MIN_LIFT,
     NEAR,
     SETTLE_S,
     SUBSTEPS,
     finishing_twist,
 )
+from dgeval.worlds.hand_and_object import HandAndObject
 from dgeval.worlds.objects import ObjectModel
-from dgeval.worlds.presenter import GRIP, GRIPPED_N, RELEASE_S
-from dgeval.worlds.scene import TIMESTEP, build, finger_forces, least_distance
+from dgeval.worlds.presenter import GRIPPED_N, RELEASE_S
+from dgeval.worlds.scene import TIMESTEP, build
 
 STEP = 6  # control periods between the close times tried; half of it around lone successes
 FREE_STEPS_M = (
@@ -62,7 +61,7 @@ class Approach:
     link: str | None
 
 
-class Twin:
+class Twin(HandAndObject):
     """One scene with a solid of its cloud displaced by (dx, dy m, turn rad), its sliding friction and mass scaled."""
 
     def __init__(
@@ -74,50 +73,38 @@ class Twin:
         mass: float,
     ) -> None:
         self.scene = scene
-        self.thing, centre = replace(solid[0], mass=solid[0].mass * mass), solid[1]
-        self.gripper = scene.gripper
+        self.target, centre = replace(solid[0], mass=solid[0].mass * mass), solid[1]
         speed = 0.0 if scene.held else float(scene.velocity[1])
-        self.model = build(
-            self.thing, speed, "hand", presented=scene.held, gripper=self.gripper.name
-        )
-        m = self.model
-        parts = [g for g in range(m.ngeom) if m.geom(g).name.startswith("object_")]
-        m.geom_friction[parts, 0] *= friction
-        self.data = mujoco.MjData(m)
-        self._object = int(m.joint("object").qposadr[0])
-        self._object_dof = int(m.joint("object").dofadr[0])
-        self._hand = int(m.joint("hand").qposadr[0])
-        self._hand_dof = int(m.joint("hand").dofadr[0])
-        # nothing pushes a recorded hand: with a small inertia the solver would let part of each contact go into moving it
-        m.dof_armature[self._hand_dof : self._hand_dof + 6] = 1e5
-        self._fingers = np.array([m.joint(n).qposadr[0] for n in self.gripper.joints])
-        self._handle = int(m.body("handle").mocapid[0])
-        self._presenter = int(m.body("presenter").mocapid[0]) if scene.held else None
-        self._drives = np.array([m.actuator(n).id for n in self.gripper.drives])
-        self._driven = np.array([m.joint(n).qposadr[0] for n in self.gripper.drives])
-        self._is_hand = np.array([m.geom(g).contype[0] == 2 for g in range(m.ngeom)])
-        self._is_object = np.isin(np.arange(m.ngeom), parts)
+        model = build(self.target, speed, "hand", presented=scene.held, gripper=scene.gripper)
+        rest = float(centre[2]) if scene.held else self.target.rest_height()
+        super().__init__(model, scene.gripper, rest)
+        model.geom_friction[self.object_geoms, 0] *= friction
+        self._hand = int(model.joint("hand").qposadr[0])
+        self._hand_dof = int(model.joint("hand").dofadr[0])
+        # nothing pushes a recorded hand: with a small inertia the solver would let part of each
+        # contact go into moving it
+        model.dof_armature[self._hand_dof : self._hand_dof + 6] = 1e5
+        self._handle = int(model.body("handle").mocapid[0])
+        self._presenter = int(model.body("presenter").mocapid[0]) if scene.held else None
         self._first = self._begin(centre, scene)
-        # the belt is not endless: its middle is the middle of the way
-        way = scene.free[
-            scene.reference if self._first is None else self._first : scene.reference + 1, 1
-        ]
-        self._shift = np.array([WORLD_X - centre[0], -centre[1] - (way.min() + way.max()) / 2, 0.0])
-        self.rest = float(centre[2]) if scene.held else self.thing.rest_height()
-        self._names = {g: m.geom(g).name for g in np.flatnonzero(self._is_hand).tolist()}
+        # the belt is not endless: its middle is the middle of the path
+        first = scene.reference if self._first is None else self._first
+        along = scene.free[first : scene.reference + 1, 1]
+        self._shift = np.array(
+            [WORLD_X - centre[0], -centre[1] - (along.min() + along.max()) / 2, 0.0]
+        )
         self._start = self._shift + np.array(
             [centre[0] + offset[0], centre[1] + offset[1], self.rest]
         )
         self._turn = offset[2]
         self._moved = np.zeros(3)  # of the whole approach, from where it was recorded
-        self._size = mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_INTEGRATION)
 
     def _begin(self, centre: Array, scene: Scene) -> int | None:
         """The tick from which the hand is near the undisturbed object; None where it never is."""
         end = scene.reference
         T = scene.hand.T_support_hand[: end + 1]
         palms = T[:, :3, :3] @ self.gripper.centre + T[:, :3, 3]
-        reach = NEAR_CENTRE + 0.5 * float(np.linalg.norm(self.thing.extent()))
+        reach = NEAR_CENTRE + 0.5 * float(np.linalg.norm(self.target.extent()))
         near = np.flatnonzero(
             np.linalg.norm(palms - centre - scene.free[: end + 1], axis=1) < reach
         )
@@ -151,10 +138,8 @@ class Twin:
         )  # a free joint's spin is in the body's axes
 
     def put_object(self, tick: int) -> None:
-        d = self.data
-        d.qpos[self._object : self._object + 7] = self.undisturbed(tick)
-        d.qvel[self._object_dof : self._object_dof + 6] = [*self.scene.velocity, 0, 0, 0]
-        d.qacc_warmstart[:] = 0
+        """The object undisturbed at a tick; `mj_forward` is the caller's."""
+        self.place_object(self.undisturbed(tick), np.array([*self.scene.velocity, 0, 0, 0]))
         self._present(tick)
 
     def _present(self, tick: int) -> None:
@@ -166,12 +151,6 @@ class Twin:
                 pose[3:],
             )
 
-    def _held(self) -> bool:
-        """Whether someone still holds the object."""
-        return self._presenter is not None and bool(
-            self.data.eq_active[self.model.equality(GRIP).id]
-        )
-
     def _resync(self, tick: int) -> list[float]:
         """Where the object was seen well away from where physics has it, it goes there: sightings are facts too.
 
@@ -182,7 +161,7 @@ class Twin:
             return []
         d = self.data
         place = (moved[:3, :3] @ (self._start - self._shift) + moved[:3, 3]) + self._shift
-        now = d.qpos[self._object : self._object + 7]
+        now = d.qpos[self.object : self.object + 7]
         R = moved[:3, :3]
         if R[2, 2] > 0.97 and abs(place[2] - now[2]) < 0.02:
             # it stands: a tilt of some degrees is noise, and would set it on its edge
@@ -195,24 +174,19 @@ class Twin:
         mujoco.mju_mulQuat(turn, turn.copy(), self.undisturbed(self.scene.reference)[3:])
         apart = float(np.linalg.norm(place[:2] - now[:2]))
         angle = 2 * np.arccos(min(1.0, abs(float(turn @ now[3:]))))
-        if apart < RESYNC_M and (self.thing.rolls or angle < RESYNC_RAD):
+        if apart < RESYNC_M and (self.target.rolls or angle < RESYNC_RAD):
             return [apart]
-        d.qpos[self._object : self._object + 7] = [*place, *turn]
-        d.qvel[self._object_dof : self._object_dof + 6] = [*self.scene.velocity, 0, 0, 0]
+        d.qpos[self.object : self.object + 7] = [*place, *turn]
+        d.qvel[self.object_dof : self.object_dof + 6] = [*self.scene.velocity, 0, 0, 0]
         d.qacc_warmstart[:] = 0
         mujoco.mj_forward(self.model, d)
         return [apart]
-
-    def _put_fingers(self, tick: int) -> None:
-        q = self.scene.hand.fingers[tick]
-        self.data.qpos[self._fingers] = self.gripper.positions(q)
-        self.data.ctrl[self._drives] = q
 
     def at(self, tick: int) -> None:
         """Hand and fingers as recorded, the object undisturbed."""
         mujoco.mj_resetData(self.model, self.data)
         self._put_hand(self.hand_at(tick), *self.twist(tick))
-        self._put_fingers(tick)
+        self.place_fingers(self.scene.hand.fingers[tick])
         self.put_object(tick)
         mujoco.mj_forward(self.model, self.data)
 
@@ -223,13 +197,8 @@ class Twin:
         dt = max(b - a, 1) * CONTROL_S
         return (T[b][:3, 3] - T[a][:3, 3]) / dt, rotation_vector(T[b][:3, :3] @ T[a][:3, :3].T) / dt
 
-    def save(self) -> Array:
-        state = np.empty(self._size)
-        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        return state
-
     def restore(self, state: Array) -> None:
-        mujoco.mj_setState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self.set_state(state)
         self.data.mocap_pos[self._handle] = self.data.qpos[self._hand : self._hand + 3]
         self.data.mocap_quat[self._handle] = self.data.qpos[self._hand + 3 : self._hand + 7]
         mujoco.mj_forward(self.model, self.data)
@@ -258,18 +227,6 @@ class Twin:
 
     # what is asked
 
-    def touching(self) -> tuple[bool, float, str | None]:
-        """Whether the hand touches the object, deepest overlap m, and the link that does."""
-        pairs = self.data.contact.geom
-        if not len(pairs):
-            return False, 0.0, None
-        both = self._is_hand[pairs].any(axis=1) & self._is_object[pairs].any(axis=1)
-        if not both.any():
-            return False, 0.0, None
-        k = int(np.flatnonzero(both)[np.argmin(self.data.contact.dist[both])])
-        geom = next(int(g) for g in pairs[k] if self._is_hand[g])
-        return True, max(0.0, -float(self.data.contact.dist[k])), self.model.geom(geom).name
-
     def close(
         self, T: Array, velocity: Array, preshape: Array, fingers: list[Array] | None = None
     ) -> tuple[bool, float]:
@@ -280,33 +237,27 @@ class Twin:
         d = self.data
         height, since, gripped_s = 0.0, 0.0, 0.0
         while True:
-            d.ctrl[self._drives] = self.gripper.targets(since, preshape)
-            if self._held():
+            d.ctrl[self.drives] = self.gripper.targets(since, preshape)
+            if self.held_by_presenter:
                 # who holds it goes on as before, and lets go when it has been gripped for a moment
                 d.mocap_pos[self._presenter] += self.scene.velocity * CONTROL_S
-                forces = finger_forces(self.model, d, self._names, self.gripper.fingers)
+                forces = self.finger_forces()
                 gripped_s = gripped_s + CONTROL_S if int((forces > GRIPPED_N).sum()) >= 2 else 0.0
                 if gripped_s >= RELEASE_S:
-                    d.eq_active[self.model.equality(GRIP).id] = 0
+                    self.hand_over()
             T = self._move(T, finishing_twist(since, velocity)[:3], np.zeros(3))
             since += CONTROL_S
             if fingers is not None:
-                fingers.append(d.qpos[self._driven].copy())
-            z = float(d.qpos[self._object + 2])
+                fingers.append(d.qpos[self.driven].copy())
+            z = float(d.qpos[self.object + 2])
             height = max(height, z - self.rest)
             lift = since - CLOSE_S - SETTLE_S
-            if 0.0 < lift < LIFT_S and not self.touching()[0]:
+            if 0.0 < lift < LIFT_S and not self.touch().object:
                 return False, height
             if lift > 0.45 * LIFT_S and z < self.rest + 0.01:
                 return False, height
             if lift >= LIFT_S + HOLD_S:
-                centre = T[:3, :3] @ self.gripper.centre + T[:3, 3]
-                near = (
-                    np.linalg.norm(d.qpos[self._object : self._object + 3] - centre) < MAX_FROM_HAND
-                )
-                return bool(
-                    z > self.rest + MIN_LIFT and near and self.touching()[0] and not self._held()
-                ), height
+                return self.in_hand(T, d.qpos[self.object : self.object + 3]), height
 
     def _close_at(
         self, state: Array, tick: int, fingers: list[Array] | None = None
@@ -360,7 +311,7 @@ class Twin:
         self.at(end)
         self._put_hand(T, self.scene.velocity, np.zeros(3))
         mujoco.mj_forward(self.model, self.data)
-        inside = self.touching()[1] > Thresholds().overlap_m
+        inside = self.touch().penetration > Thresholds().overlap_m
         return {
             "goal": not inside
             and self.close(T, self.scene.velocity, self.scene.hand.fingers[end])[0]
@@ -397,7 +348,7 @@ class Twin:
             else:
                 k = end if scene.close is not None or contact is None else contact
                 self.at(k)
-                overlap = self.touching()[1]
+                overlap = self.touch().penetration
                 works = self.close(self.hand_at(k), scene.hand.velocity[k], scene.hand.fingers[k])[
                     0
                 ]
@@ -450,11 +401,11 @@ class Twin:
         self.restore(state)
         T = self._hand_pose()
         off = (
-            self.data.qpos[self._object : self._object + 3]
+            self.data.qpos[self.object : self.object + 3]
             - T[:3, :3] @ self.gripper.centre
             - T[:3, 3]
         )
-        return bool(np.linalg.norm(off) < NEAR + 0.5 * np.linalg.norm(self.thing.extent()))
+        return bool(np.linalg.norm(off) < NEAR + 0.5 * np.linalg.norm(self.target.extent()))
 
     def _hand_pose(self) -> Array:
         R = np.zeros(9)
@@ -469,15 +420,9 @@ class Twin:
         off = np.zeros((end - first + 1, 2))
         contact, link, reached = None, None, False
         strayed: list[float] = []
-        hand, thing = (
-            np.flatnonzero(self._is_hand).tolist(),
-            np.flatnonzero(self._is_object).tolist(),
-        )
         for k in range(first, end + 1):
-            reached = (
-                reached or least_distance(self.model, self.data, hand, thing, REACHED_M) < REACHED_M
-            )
-            pose, free = self.data.qpos[self._object : self._object + 7], self.undisturbed(k)
+            reached = reached or self.distance(REACHED_M) < REACHED_M
+            pose, free = self.data.qpos[self.object : self.object + 7], self.undisturbed(k)
             if not reached:
                 pose[:2] = free[:2]
             elif resync and self._presenter is None:
@@ -485,18 +430,18 @@ class Twin:
             off[k - first, 0] = np.linalg.norm(pose[:3] - free[:3])
             dot = abs(float(pose[3:7] @ free[3:7]))
             off[k - first, 1] = (
-                0.0 if self.thing.rolls else np.degrees(2 * np.arccos(min(1.0, dot)))
+                0.0 if self.target.rolls else np.degrees(2 * np.arccos(min(1.0, dot)))
             )
             if contact is None and (off[k - first, 0] > 0.001 or off[k - first, 1] > 1.0):
-                touches, _, name = self.touching()
-                if touches:
-                    contact, link = k, name
+                touch = self.touch()
+                if touch.object:
+                    contact, link = k, touch.solid
             if (end - k) % 3 == 0:
-                states[k] = self.save()
+                states[k] = self.state()
             if k < end:
                 self._present(k + 1)
                 a, b = self.hand_at(k), self.hand_at(k + 1)
-                self.data.ctrl[self._drives] = self.scene.hand.fingers[k]
+                self.data.ctrl[self.drives] = self.scene.hand.fingers[k]
                 self._move(
                     a,
                     (b[:3, 3] - a[:3, 3]) / CONTROL_S,
@@ -518,7 +463,7 @@ class Twin:
                 self.data.mocap_pos[self._presenter] += self.scene.velocity * CONTROL_S
             T = self._move(T, velocity, spin)
             if k % STEP == 0:
-                held.append((k * CONTROL_S, self.save()))
+                held.append((k * CONTROL_S, self.state()))
         out: list[tuple[float, bool]] = []
         for offset, state in held:
             out.append((offset, self._close_at(state, end)[0]))
@@ -544,6 +489,6 @@ class Twin:
             T[:3, 3] += T[:3, :3] @ move
             self._put_hand(T, *self.twist(end))
             mujoco.mj_forward(self.model, self.data)
-            if self.touching()[1] <= 1e-4:
+            if self.touch().penetration <= 1e-4:
                 return self.close(T, self.scene.hand.velocity[end], self.scene.hand.fingers[end])[0]
         return False

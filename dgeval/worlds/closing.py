@@ -5,12 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from dgeval.geometry import Array
-from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.worlds.scene import TIMESTEP
 
 CONTROL_S = 0.010  # period of the control loop
 SUBSTEPS = round(CONTROL_S / TIMESTEP)
-SETTLE_S, LIFT_S, LIFT_HEIGHT = 0.1, 0.7, 0.20  # wait after the closing ramp, lift (m)
+# s, s, s, m: what every hand is given to close, then a wait, then the lift
+CLOSE_S, SETTLE_S, LIFT_S, LIFT_HEIGHT = (
+    0.4,
+    0.1,
+    0.7,
+    0.20,
+)  # wait after the closing ramp, lift (m)
 MIN_LIFT, MAX_FROM_HAND = 0.10, 0.15  # m: over its support; object's centre from the grasp's centre
 AFTER_CLOSE_S = 0.6  # close times are tried until this long after the real one
 TRUTH_STEP = 3  # control periods between the close times tried, 30 ms

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, transform
-from dgeval.robots.dlr_hit_hand import place
+from dgeval.robots.mjcf import place
 from dgeval.worlds.textures import Look, add_material
 
 Kind = Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "hull"]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
-from dgeval.robots.dlr_hit_hand import quat_wxyz
+from dgeval.robots.mjcf import quat_wxyz
 
 GRIP = "presenter_grip"
 GRIPPED_N, RELEASE_S = (

@@ -11,8 +11,8 @@ import numpy as np
 
 from dgeval.geometry import Array, Intrinsics
 from dgeval.robots.diana7 import add_arm
-from dgeval.robots.dlr_hit_hand import add_hand, place
-from dgeval.robots.parallel_jaw import add_gripper
+from dgeval.robots.hand import Hand
+from dgeval.robots.mjcf import place
 from dgeval.worlds.objects import ObjectModel, add_object
 from dgeval.worlds.presenter import add_presenter
 from dgeval.worlds.textures import add_ground
@@ -45,13 +45,13 @@ def build(
     robot: Literal["arm", "hand", "none"] = "arm",
     cameras: tuple[Camera, ...] = (),
     presented: bool = False,
-    gripper: Literal["fingers", "jaw"] = "fingers",
+    gripper: Hand | None = None,
     others: tuple[ObjectModel, ...] = (),
     turntable: bool = False,
 ) -> mujoco.MjModel:
     """Compile a world. belt_speed m/s along +y (sign gives the direction); `hand` hangs on a mocap body, `none` is no robot.
 
-    presented: a person's hand holds the object. others: more objects, bodies `other_0`, …; turntable: a disc that turns.
+    presented: a person's hand holds the object. gripper: the hand on arm or mocap body. others: more objects, bodies `other_0`, …; turntable: a disc that turns.
     """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -99,11 +99,12 @@ def build(
         _add_turntable(spec)
     if presented:
         add_presenter(spec, thing.extent())
-    add = add_hand if gripper == "fingers" else add_gripper
-    if robot == "arm":
-        add(spec, add_arm(spec, world.add_body(name="base_link")))
-    elif robot == "hand":
-        add(spec, _add_flying_base(spec))
+    if robot != "none" and gripper is None:
+        raise ValueError(f"a world with robot {robot!r} needs a hand")
+    if robot == "arm" and gripper is not None:
+        gripper.add(spec, add_arm(spec, world.add_body(name="base_link")))
+    elif robot == "hand" and gripper is not None:
+        gripper.add(spec, _add_flying_base(spec))
         _weld_to_handle(spec)
     for camera in cameras:
         seen = spec.body("hand_base").add_camera(name=camera.name)

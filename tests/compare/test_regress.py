@@ -1,4 +1,7 @@
-"""Catches: a change that nobody sees, a false alarm, a wrong stage or frame named, a baseline of something else accepted."""
+"""Catches: a change that the gate misses, a false alarm, a wrong stage or frame in the message.
+
+Also a baseline that is accepted for another data set, schema or recording.
+"""
 
 from __future__ import annotations
 
@@ -46,13 +49,16 @@ Dgeval = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture(scope="module")
 def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The beginning of one committed trial: 30 frames, nothing is grasped in them."""
+    """Manifest of the first 30 frames of one committed trial; nothing is grasped in them."""
     folder = tmp_path_factory.mktemp("short")
-    known = next(
+    trial = next(
         t for t in tomllib.loads((SMOKE / "ci-smoke.toml").read_text())["trial"] if t["id"] == NAME
     )
     shutil.copy(SMOKE / f"{NAME}.mcap", folder / "a.mcap")
-    text = f'name = "short"\n[[trial]]\nid = "a"\nrecording = "a.mcap"\nframes = [0, 30]\nbbox = {known["bbox"]}\n'
+    text = (
+        'name = "short"\n[[trial]]\nid = "a"\nrecording = "a.mcap"\nframes = [0, 30]\n'
+        f"bbox = {trial['bbox']}\n"
+    )
     (folder / "short.toml").write_text(text)
     return folder / "short.toml"
 
@@ -155,7 +161,11 @@ def test_last_bits_are_within_tolerance_and_more_is_not(before: Run, tmp_path: P
 def test_grasps_by_ffhnet_in_place_of_the_recorded_ones(
     manifest: Path, before: Run, tmp_path: Path
 ) -> None:
-    """Named in the notes, in every frame that has a model, near the target, the same twice, and caught at `grasps`."""
+    """Catches FFHNet grasps that the notes don't name, that lie far from the target, or that vary.
+
+    Every frame with a model has one, and the comparison with recorded grasps differs first at
+    `grasps`.
+    """
     once, again = (
         run_of(manifest, tmp_path / name, "grasps.source=ffhnet", "grasps.candidates=64")
         for name in "ab"
@@ -181,9 +191,13 @@ def test_grasps_by_ffhnet_in_place_of_the_recorded_ones(
 @pytest.mark.slow
 def test_a_run_that_is_shorter_differs(before: Run) -> None:
     frames = before.frames("a")
-    found = difference("a", frames, frames.iloc[:20])
-    assert found is not None
-    assert (found.first.frame, found.first.field, found.n_frames) == (20, "n_frames", (30, 20))
+    shorter = difference("a", frames, frames.iloc[:20])
+    assert shorter is not None
+    assert (shorter.first.frame, shorter.first.field, shorter.n_frames) == (
+        20,
+        "n_frames",
+        (30, 20),
+    )
 
 
 @pytest.mark.slow
@@ -208,18 +222,20 @@ def test_the_gate_from_the_command_line(manifest: Path, dgeval: Dgeval, tmp_path
     assert (done := gate()).returncode == 0, done.stderr
     assert "identical" in done.stdout
 
-    # results that lie there from before are not taken for this code's
+    # results of an earlier run in the folder are not used for this one
     mark = out / "trials" / "a.json"
     mark.write_text(mark.read_text().replace('"digest_tracking": "', '"digest_tracking": "0'))
     assert "identical" in gate().stdout
 
-    # a change that was asked for is named field by field and compared all the same
+    # a change of the configuration is named field by field, and the runs are compared all the same
     done = gate("--set", "estimation.sigma_position=0.012", "--json")
-    said = json.loads(done.stdout)
-    assert said["config"] == [{"field": "estimation.sigma_position", "old": 0.004, "new": 0.012}]
+    document = json.loads(done.stdout)
+    assert document["config"] == [
+        {"field": "estimation.sigma_position", "old": 0.004, "new": 0.012}
+    ]
     assert "estimation.sigma_position: 0.004 -> 0.012" in done.stderr
-    assert said["first_divergence"]["stage"] == "estimation"
-    assert said["conclusion"] == "inconclusive"  # one trial tells nothing
+    assert document["first_divergence"]["stage"] == "estimation"
+    assert document["conclusion"] == "inconclusive"  # one trial tells nothing
     assert done.returncode == 0
     assert "warning" in done.stderr
     assert (out / "changed" / "a.rrd").stat().st_size > 1000
@@ -238,9 +254,9 @@ def test_the_gate_from_the_command_line(manifest: Path, dgeval: Dgeval, tmp_path
     )
     assert "can't tell" in cases["gate", "gate"].result[0].message
 
-    # the verdict is told differently while every stage gives the same bytes: no metric sees that
-    told = tmp_path / "told.zip"
-    with zipfile.ZipFile(baseline) as read, zipfile.ZipFile(told, "w") as write:
+    # the verdict changes while every stage gives the same bytes: no metric measures that
+    changed_verdict = tmp_path / "told.zip"
+    with zipfile.ZipFile(baseline) as read, zipfile.ZipFile(changed_verdict, "w") as write:
         for member in read.namelist():
             data = read.read(member)
             if member == "trials.parquet":
@@ -248,14 +264,14 @@ def test_the_gate_from_the_command_line(manifest: Path, dgeval: Dgeval, tmp_path
                 table.to_parquet(changed := io.BytesIO())
                 data = changed.getvalue()
             write.writestr(member, data)
-    done = dgeval("regress", manifest, "--baseline", told, "--out", out)
+    done = dgeval("regress", manifest, "--baseline", changed_verdict, "--out", out)
     assert done.returncode == 0
     assert "disagreement" in done.stderr
     assert "failure_class collision -> " in done.stdout
     case = next(c for s in JUnitXml.fromfile(str(out / "junit.xml")) for c in s if c.name == "a")
     assert "failure_class" in case.result[0].message
 
-    # of something else
+    # a baseline of another data set, another recording, another schema
     shutil.copy(manifest, manifest.with_name("other.toml"))
     done = dgeval("regress", manifest.with_name("other.toml"), "--baseline", baseline, "--out", out)
     assert done.returncode == 2
@@ -276,15 +292,17 @@ def test_the_gate_from_the_command_line(manifest: Path, dgeval: Dgeval, tmp_path
     assert "schema 0" in done.stderr
 
 
-# numbers
+# statistics
 
 
 def test_holm_is_the_textbook() -> None:
+    """p values worked out by hand: n p, (n - 1) p, ... in rising order, never falling."""
     assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     assert holm([0.9, 0.8]) == [1.0, 1.0]
 
 
 def test_mcnemar_is_exact() -> None:
+    """p = 2 * sum of binomial(n, 1/2) up to the smaller count, worked out by hand."""
     for lost, gained, p in ((5, 0, 0.0625), (6, 0, 0.03125), (8, 1, 0.0390625), (10, 2, 0.0385742)):
         old = [True] * lost + [False] * gained + [True] * 30
         new = [False] * lost + [True] * gained + [True] * 30
@@ -292,7 +310,7 @@ def test_mcnemar_is_exact() -> None:
 
 
 def test_signed_rank_with_equal_sizes_is_exact() -> None:
-    # all signs of the ranks 1.5, 1.5, 3, 4 by hand: only all one way is as far out as 0 or 10 of 10
+    # ranks 1.5, 1.5, 3, 4: only the two sets of equal signs have a rank sum as extreme as 0 or 10
     assert signed_rank(np.array([1.0, 1.0, 2.0, 3.0, 0.0])) == 2 / 16
     rng = np.random.default_rng(3)
     for n in (6, 13):
@@ -313,7 +331,10 @@ def test_walsh_interval_agrees_with_the_test_it_belongs_to() -> None:
 
 
 def shifted(n: int, shift: float, noise: float, metric: str) -> list[str]:
-    """What is said of each metric where one has got worse by a shift, under noise in all of them."""
+    """The answer for one metric that got worse by `shift`, under noise in all metrics.
+
+    shift, noise (standard deviation): in relevant differences.
+    """
     rng = np.random.default_rng(1)
     old = {m.name: rng.normal(0.5, 0.1, n) for m in METRICS}
     new = {m.name: old[m.name] + rng.normal(0, noise * m.relevant, n) for m in METRICS}
@@ -323,6 +344,7 @@ def shifted(n: int, shift: float, noise: float, metric: str) -> list[str]:
 
 
 def test_three_answers() -> None:
+    """Catches a swapped sign, a metric with the wrong direction, a verdict on too few trials."""
     assert shifted(40, 3.0, 1.0, "velocity_error") == ["worse"]
     assert shifted(40, -3.0, 1.0, "velocity_error") == ["better"]
     assert shifted(40, -3.0, 1.0, "gate_fitness") == ["worse"]  # there more is better
@@ -336,13 +358,13 @@ def test_planned_number_of_trials_finds_what_matters() -> None:
     metric = METRICS[3]
     n = trials_needed(3 * metric.relevant, metric.relevant, 0.05, 6)
     assert n is not None
-    found = 0
+    times_found = 0
     for _ in range(60):
         old = {m.name: rng.normal(0.5, 0.1, n) for m in METRICS}
         new = {m.name: old[m.name] + rng.normal(0, 3 * m.relevant, n) for m in METRICS}
         new[metric.name] += metric.relevant * 1.3
-        found += next(r.answer for r in answers(old, new) if r.metric is metric) == "worse"
-    assert found >= 40  # planned for 80 % at the border of what matters
+        times_found += next(r.answer for r in answers(old, new) if r.metric is metric) == "worse"
+    assert times_found >= 40  # planned for 80 % at the border of what matters
 
 
 def test_gate_gives_no_more_false_alarms_than_it_states() -> None:
@@ -359,7 +381,7 @@ def test_campaigns_are_compared_on_equal_seeds_only(tmp_path: Path) -> None:
         ]
         (tmp_path / name).mkdir()
         (tmp_path / name / "simulated.json").write_text(json.dumps({"simulated": rows}))
-    said = compare_campaigns(tmp_path / "a", tmp_path / "b")
-    assert (said["lost"], said["gained"], said["answer"]) == (7, 0, "worse")
+    result = compare_campaigns(tmp_path / "a", tmp_path / "b")
+    assert (result["lost"], result["gained"], result["answer"]) == (7, 0, "worse")
     with pytest.raises(UsageError, match="not pairs"):
         compare_campaigns(tmp_path / "a", tmp_path / "c")

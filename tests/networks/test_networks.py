@@ -32,8 +32,10 @@ from dgeval.planning.hand_overlap import standing_points
 from dgeval.planning.reachability import arm_of
 from dgeval.robots.description import load_description
 from dgeval.robots.diana7 import LOWER, UPPER, ArmKinematics
+from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
+from dgeval.robots.dlr_hit_hand import T_hand_camera
 from dgeval.robots.urdf import robot_urdf
-from dgeval.simulation.perception import Sight, T_hand_camera
+from dgeval.simulation.perception import Sight
 from dgeval.simulation.proposals import FFHNetGrasps
 from dgeval.simulation.scenario import load_scenario
 from dgeval.training.ship import export
@@ -444,11 +446,11 @@ def test_upright_grasps_do_not_turn_with_the_camera(upright: bool) -> None:
 
 def test_arm_of_the_description_is_the_arm() -> None:
     """Against MuJoCo's kinematics of the same arm: a frame, an axis or a limit mistaken."""
-    description = load_description(robot_urdf(T_hand_camera), "arm", (), 0.012)
+    description = load_description(robot_urdf(T_hand_camera, FIVE_FINGERS), "arm", (), 0.012)
     palm = next(link for link in description.joints if "palm" in link)
     arm = arm_of(description, "base_link", palm)
     assert arm is not None
-    kinematics = ArmKinematics()
+    kinematics = ArmKinematics(FIVE_FINGERS.T_hand_palm)
     rng = np.random.default_rng(1)
     np.testing.assert_allclose([j.lower for j in arm.movable], LOWER, atol=1e-6)
     found = 0

@@ -32,6 +32,7 @@ from dgeval.planning.selection import by_metric, grasp_metric
 from dgeval.planning.servo import Servo, blend_rotation, look_at_rotation
 from dgeval.recording.frame import Frame
 from dgeval.robots.description import LinkShape
+from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.robots.dlr_hit_hand import T_hand_palm
 from hypothesis import given
 from hypothesis import strategies as st
@@ -374,7 +375,7 @@ def test_the_grasp_chosen_last_is_kept_until_another_is_better_by_the_margin() -
 
 
 def test_servo_law_at_rest_is_proportional_plus_velocity() -> None:
-    servo = Servo(ServoConfig())
+    servo = Servo(ServoConfig(), FIVE_FINGERS)
     v = np.array([0.05, 0, 0])
     command = servo.step(0, at(), at(x=0.04, rotvec=(0, 0, 0.2)), at(), np.array([0, 0, 1.0]), v)
     assert np.allclose(command.twist[:3], [0.04 + 0.05, 0, 0])
@@ -391,13 +392,13 @@ def test_a_hand_sent_beyond_the_grasp_does_not_creep_up_to_it() -> None:
     for metres, wanted in ((0.004, 0.016), (-0.004, -0.004)):  # before the grasp, and behind it
         grasp = at()
         grasp[:3, 3] = metres * ahead
-        command = Servo(config).step(0, at(), grasp, None, np.zeros(3), np.zeros(3))
+        command = Servo(config, FIVE_FINGERS).step(0, at(), grasp, None, np.zeros(3), np.zeros(3))
         np.testing.assert_allclose(command.twist[:3], wanted * ahead, atol=1e-12)
         assert command.error_linear == pytest.approx(0.004)  # the error stays that to the grasp
 
 
 def test_servo_derivative_is_filtered_and_damps_a_growing_error() -> None:
-    servo = Servo(ServoConfig())
+    servo = Servo(ServoConfig(), FIVE_FINGERS)
     for k in range(200):
         command = servo.step(
             round(k * 1e7), at(), at(x=0.01 + 0.001 * k * 0.1), None, np.zeros(3), np.zeros(3)

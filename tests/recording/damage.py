@@ -1,7 +1,8 @@
-"""Whole-file damage: made recordings in every container, seeded mutations of their bytes, and the oracle over a reader.
+"""Damaged recordings: synthetic files in every container, their mutations, a reader's oracle.
 
-Catches a reading layer that gives wrong or fewer messages in silence, lets a foreign exception out, hangs, or needs
-memory out of proportion to the file. Used by test_damage.py (a slice) and soak/damage_campaign.py (the campaign).
+Catches a reading layer that gives wrong or fewer messages and doesn't report it, lets a foreign
+exception out, hangs, or needs memory out of proportion to the file. Used by test_damage.py (a
+small selection) and soak/damage_campaign.py (all of it).
 """
 
 from __future__ import annotations
@@ -54,13 +55,15 @@ INFO, TF, TF_STATIC, JOINTS, EVENTS = (
     "/dgeval/events",
 )
 BOX = "16,10,44,36"
-URDF = """<robot name="hand"><link name="palm"><collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>
+URDF = """<robot name="hand"><link name="palm"><collision><geometry>\
+<box size="0.02 0.02 0.02"/></geometry></collision></link>
 <link name="finger"><collision><geometry><box size="0.01 0.01 0.03"/></geometry></collision></link>
-<joint name="finger_joint" type="revolute"><parent link="palm"/><child link="finger"/><origin xyz="0 0 0.03"/>
+<joint name="finger_joint" type="revolute"><parent link="palm"/><child link="finger"/>\
+<origin xyz="0 0 0.03"/>
 <axis xyz="1 0 0"/><limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
 
 
-# --- made recordings ------------------------------------------------------------------------------------------------
+# --- synthetic recordings -------------------------------------------------------------------------
 
 
 def _store(ros: int) -> Any:
@@ -80,7 +83,7 @@ STORES = {1: _store(1), 2: _store(2)}
 
 @dataclass
 class Entry:
-    """One message before it is written: its topic, type, log time ns, and value (an object of rosbags)."""
+    """One message to write: topic, type, log time ns, and value (an object of rosbags)."""
 
     topic: str
     type: str
@@ -113,9 +116,14 @@ def raw_image(
     padded = np.full((rows.shape[0], step), 0xAB, np.uint8)
     padded[:, : rows.shape[1]] = rows
     return STORES[ros].types["sensor_msgs/msg/Image"](
-        header=header(ros, t_ns, "camera"), height=array.shape[0], width=array.shape[1], encoding=encoding,
-        is_bigendian=int(big_endian), step=step, data=padded.ravel(),
-    )  # fmt: skip
+        header=header(ros, t_ns, "camera"),
+        height=array.shape[0],
+        width=array.shape[1],
+        encoding=encoding,
+        is_bigendian=int(big_endian),
+        step=step,
+        data=padded.ravel(),
+    )
 
 
 def compressed_image(ros: int, t_ns: int, data: bytes, format_: str) -> Any:
@@ -146,9 +154,15 @@ def camera_info(
         x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
     )
     return types["sensor_msgs/msg/CameraInfo"](
-        header=header(ros, t_ns, "camera"), height=height, width=width, distortion_model="plumb_bob", binning_x=0, binning_y=0,
-        roi=roi, **dict(zip(names, (np.zeros(5), k, r, p), strict=True)),
-    )  # fmt: skip
+        header=header(ros, t_ns, "camera"),
+        height=height,
+        width=width,
+        distortion_model="plumb_bob",
+        binning_x=0,
+        binning_y=0,
+        roi=roi,
+        **dict(zip(names, (np.zeros(5), k, r, p), strict=True)),
+    )
 
 
 def transform(
@@ -156,17 +170,22 @@ def transform(
     t_ns: int,
     parent: str,
     child: str,
-    place: tuple[float, ...],
-    turn: tuple[float, ...] = (0, 0, 0, 1),
+    translation: tuple[float, ...],
+    rotation: tuple[float, ...] = (0, 0, 0, 1),
 ) -> Any:
     types = STORES[ros].types
     return types["geometry_msgs/msg/TransformStamped"](
-        header=header(ros, t_ns, parent), child_frame_id=child,
+        header=header(ros, t_ns, parent),
+        child_frame_id=child,
         transform=types["geometry_msgs/msg/Transform"](
-            translation=types["geometry_msgs/msg/Vector3"](x=place[0], y=place[1], z=place[2]),
-            rotation=types["geometry_msgs/msg/Quaternion"](x=turn[0], y=turn[1], z=turn[2], w=turn[3]),
+            translation=types["geometry_msgs/msg/Vector3"](
+                x=translation[0], y=translation[1], z=translation[2]
+            ),
+            rotation=types["geometry_msgs/msg/Quaternion"](
+                x=rotation[0], y=rotation[1], z=rotation[2], w=rotation[3]
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def tf_message(ros: int, transforms: list[Any]) -> Any:
@@ -188,7 +207,7 @@ def text(ros: int, value: str) -> Any:
 
 
 def scene(i: int) -> tuple[Any, Any]:
-    """Colour (H, W, 3) BGR and depth (H, W) mm of frame i: a textured box before a plane, moving to the right."""
+    """Colour (H, W, 3) BGR and depth (H, W) mm of frame i: a box moves right before a plane."""
     rng = np.random.default_rng(7)
     colour = rng.integers(60, 120, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     depth = np.full((HEIGHT, WIDTH), 800, np.uint16)
@@ -202,7 +221,10 @@ def scene(i: int) -> tuple[Any, Any]:
 def recording(
     ros: int, colour: str = "jpeg", depth: str = "raw", frames: int = FRAMES
 ) -> list[Entry]:
-    """A trial of `frames` images with all small topics, in the order of log times. colour: jpeg, raw; depth: raw, png."""
+    """A trial of `frames` images with all other topics, in the order of log times.
+
+    colour: jpeg or raw. depth: raw or png.
+    """
     mount = transform(ros, START_NS, "flange", "camera", (0, 0, 0.05))
     out = [
         Entry("/robot_description", "std_msgs/msg/String", START_NS - 4, text(ros, URDF)),
@@ -285,10 +307,18 @@ def write_mcap(
     ]
     with path.open("wb") as stream:
         writer = McapWriter(
-            stream, chunk_size=24_000, compression=kind, use_chunking=chunked,
-            index_types=IndexType.ALL if summary else IndexType.NONE, repeat_channels=summary, repeat_schemas=summary,
-            use_statistics=summary, use_summary_offsets=summary, enable_crcs=crcs, enable_data_crcs=data_crc,
-        )  # fmt: skip
+            stream,
+            chunk_size=24_000,
+            compression=kind,
+            use_chunking=chunked,
+            index_types=IndexType.ALL if summary else IndexType.NONE,
+            repeat_channels=summary,
+            repeat_schemas=summary,
+            use_statistics=summary,
+            use_summary_offsets=summary,
+            enable_crcs=crcs,
+            enable_data_crcs=data_crc,
+        )
         writer.start("ros2" if ros == 2 else "ros1")
         schemas: dict[str, int] = {}
         channels: dict[str, int] = {}
@@ -326,13 +356,13 @@ def write_bag(path: Path, entries: list[Entry], compression: str = "") -> Path:
         writer.set_compression(BagWriter.CompressionFormat[compression.upper()])
     writer.chunk_threshold = 40_000
     with writer:
-        known: dict[str, Any] = {}
+        connections: dict[str, Any] = {}
         for entry in entries:
-            if entry.topic not in known:
-                known[entry.topic] = writer.add_connection(
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(
                     entry.topic, entry.type, typestore=STORES[1]
                 )
-            writer.write(known[entry.topic], entry.log_ns, serialise(entry, 1))
+            writer.write(connections[entry.topic], entry.log_ns, serialise(entry, 1))
     return path
 
 
@@ -340,20 +370,23 @@ def write_folder(path: Path, entries: list[Entry]) -> Path:
     """A ROS 2 SQLite folder: <path>/<name>.db3 and metadata.yaml."""
     shutil.rmtree(path, ignore_errors=True)
     with FolderWriter(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        known: dict[str, Any] = {}
+        connections: dict[str, Any] = {}
         for entry in entries:
-            if entry.topic not in known:
-                known[entry.topic] = writer.add_connection(
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(
                     entry.topic, entry.type, typestore=STORES[2]
                 )
-            writer.write(known[entry.topic], entry.log_ns, serialise(entry, 2))
+            writer.write(connections[entry.topic], entry.log_ns, serialise(entry, 2))
     return path
 
 
 def shuffled(entries: list[Entry]) -> list[Entry]:
-    """The order of a recorder whose topics arrive late by up to six periods: chunks overlap in time."""
-    late = {COLOUR + "/compressed": 6, COLOUR: 6, JOINTS: 3}
-    return sorted(entries, key=lambda e: e.log_ns + late.get(e.topic, 0) * PERIOD_NS)
+    """The messages in the order of a recorder that gets some topics up to six periods late.
+
+    Then chunks overlap in time.
+    """
+    delay_periods = {COLOUR + "/compressed": 6, COLOUR: 6, JOINTS: 3}
+    return sorted(entries, key=lambda e: e.log_ns + delay_periods.get(e.topic, 0) * PERIOD_NS)
 
 
 @dataclass(frozen=True)
@@ -440,13 +473,13 @@ def _bare(path: Path) -> Path:
     return path
 
 
-# --- what the undamaged file holds ----------------------------------------------------------------------------------
+# --- what the undamaged file holds ----------------------------------------------------------------
 
-Seen = tuple[str, int, bytes]
+MessageKey = tuple[str, int, bytes]  # topic, log time ns, digest of the bytes
 
 
-def seen(messages: Iterable[Any]) -> list[Seen]:
-    """Messages as (topic, log time, digest of the bytes)."""
+def message_keys(messages: Iterable[Any]) -> list[MessageKey]:
+    """The keys of messages, in their order."""
     return [(m.topic, m.log_ns, hashlib.blake2b(m.data, digest_size=12).digest()) for m in messages]
 
 
@@ -458,25 +491,35 @@ class Good:
     path: Path
     file: Path
     data: bytes
-    messages: list[Seen]
+    messages: list[MessageKey]
 
 
 def make_good(kind: Kind, folder: Path) -> Good:
-    """Write the recording and read it once; it must hold exactly what was written, without damage."""
+    """Write the recording and read it once; all messages must be there, without damage."""
     path = kind.write(folder / ("good" + kind.suffix))
     file = path if path.is_file() else path / f"{path.name}.db3"
     opened = open_container(path)
-    messages = seen(opened.messages())
+    messages = message_keys(opened.messages())
     assert not opened.damage, opened.damage
     assert len(messages) == 3 + 5 * FRAMES + 1
     return Good(kind, path, file, file.read_bytes(), messages)
 
 
-# --- where things lie in a file -------------------------------------------------------------------------------------
+# --- the parts of a file --------------------------------------------------------------------------
 
 Region = tuple[str, int, int]
-MCAP_NAMES = {1: "header", 2: "footer", 3: "definition", 4: "definition", 5: "message", 7: "message index", 8: "chunk index",
-              11: "statistics", 14: "summary offset", 15: "data end"}  # fmt: skip
+MCAP_NAMES = {
+    1: "header",
+    2: "footer",
+    3: "definition",
+    4: "definition",
+    5: "message",
+    7: "message index",
+    8: "chunk index",
+    11: "statistics",
+    14: "summary offset",
+    15: "data end",
+}
 BAG_NAMES = {3: "bag header", 4: "index", 5: "chunk", 6: "chunk info", 7: "connection"}
 
 
@@ -532,15 +575,16 @@ def _db3_regions(data: bytes) -> list[Region]:
     ]
 
 
-# --- mutations ------------------------------------------------------------------------------------------------------
+# --- mutations ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Case:
-    """One damaged input: the row it is counted in, what exactly was done, and the file's new bytes (None: as they were).
+    """One damaged input.
 
-    `place` puts it under another name; `metadata` replaces metadata.yaml (b"" = empty file, None = as it was,
-    "missing" = taken away).
+    mutation: row of the table in which it is counted. detail: what was done. data: new bytes of the
+    file; None: unchanged. place: another file name. metadata: new bytes of metadata.yaml; None:
+    unchanged, "missing": the file is removed.
     """
 
     mutation: str
@@ -558,7 +602,7 @@ def flip(data: bytes, bits: Iterable[int]) -> bytes:
 
 
 def flip_cases(good: Good, seeds: Iterable[int]) -> Iterator[Case]:
-    """One flipped bit per seed, going round the named regions so that small ones are not passed over."""
+    """One flipped bit per seed, in each named region in turn, so that small ones are hit too."""
     named: dict[str, list[Region]] = {}
     for region in regions(good.data, good.kind.layout):
         named.setdefault(region[0], []).append(region)
@@ -576,7 +620,10 @@ def flip_cases(good: Good, seeds: Iterable[int]) -> Iterator[Case]:
 
 
 def cases(good: Good, seeds: int, boundaries: int = 24) -> Iterator[Case]:
-    """Every mutation of one recording; `seeds` single flips, a tenth of that for the other random ones."""
+    """Every mutation of one recording.
+
+    seeds: number of single flips. Other random mutations are a tenth as many, at least 3.
+    """
     data, layout = good.data, good.kind.layout
     size = len(data)
     yield Case("empty", "0 bytes", b"")
@@ -649,10 +696,10 @@ def cases(good: Good, seeds: int, boundaries: int = 24) -> Iterator[Case]:
 
 
 def _length_cases(data: bytes, layout: str) -> Iterator[Case]:
-    """Record lengths that lie."""
-    where = regions(data, layout)
+    """Wrong record lengths."""
+    parts = regions(data, layout)
     if layout == "mcap":
-        records = [r for r in where if r[0] not in ("magic", "closing magic", "chunk payload")]
+        records = [r for r in parts if r[0] not in ("magic", "closing magic", "chunk payload")]
         for name, start, _ in (
             records[0],
             records[1],
@@ -664,7 +711,7 @@ def _length_cases(data: bytes, layout: str) -> Iterator[Case]:
                 changed = data[: start + 1] + struct.pack("<Q", length) + data[start + 9 :]
                 yield Case("record length", f"{name} at byte {start}: {length}", changed)
     elif layout == "bag":
-        for name, start, end in where[1:4] + where[-3:]:
+        for name, start, end in parts[1:4] + parts[-3:]:
             if name == "chunk payload":
                 continue
             for offset in (
@@ -685,11 +732,11 @@ def _length_cases(data: bytes, layout: str) -> Iterator[Case]:
 
 
 def _field_cases(good: Good) -> Iterator[Case]:
-    """Single fields whose change makes messages vanish or move: what random flips hit too seldom."""
+    """Changes of single fields that random flips hit too seldom: messages vanish or move."""
     data, layout = good.data, good.kind.layout
-    where = regions(data, layout)
+    parts = regions(data, layout)
     if layout == "mcap":
-        starts = [s for n, s, _ in where if n in ("chunk header", "message", "data end")]
+        starts = [s for n, s, _ in parts if n in ("chunk header", "message", "data end")]
         for start in starts[:: max(1, len(starts) // 6)] + starts[-1:]:
             for bit in range(8):
                 yield Case(
@@ -705,7 +752,7 @@ def _field_cases(good: Good) -> Iterator[Case]:
                     f"{name.decode()}{value}",
                     data[:at] + struct.pack("<I", value) + data[at + 4 :],
                 )
-        for name, start, end in where:
+        for name, start, end in parts:
             if name == "chunk info":
                 at = data.index(b"count=", start, end) + 6
                 value = _u32(data, at)
@@ -715,7 +762,7 @@ def _field_cases(good: Good) -> Iterator[Case]:
                     data[:at] + struct.pack("<I", value - 1) + data[at + 4 :],
                 )
                 at = data.index(b"chunk_pos=", start, end) + 10
-                other = where[[w[0] for w in where].index("chunk header")][1]
+                other = parts[[w[0] for w in parts].index("chunk header")][1]
                 yield Case(
                     "count field",
                     f"chunk_pos at byte {at}",
@@ -749,7 +796,7 @@ def _field_cases(good: Good) -> Iterator[Case]:
 
 
 def _with_sql(data: bytes, sql: str) -> bytes:
-    """The database after one statement, as a few changed bytes would leave it: constraints off."""
+    """The database after one SQL statement with all constraints removed, as after changed bytes."""
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "x.db3"
         path.write_bytes(data)
@@ -807,7 +854,7 @@ def bomb(compression: str, size: int) -> bytes:
 
 
 def place_case(good: Good, case: Case, folder: Path) -> Path:
-    """Write a case below an empty folder; returns what to open."""
+    """Write a case below an empty folder; returns the path to open."""
     data = good.data if case.data is None else case.data
     if good.path.is_file():
         path = folder / (case.place or "case" + good.kind.suffix)
@@ -827,16 +874,16 @@ def place_case(good: Good, case: Case, folder: Path) -> Path:
     return path
 
 
-# --- the oracle -----------------------------------------------------------------------------------------------------
+# --- the oracle of a reader -----------------------------------------------------------------------
 
-COMPLETE, COMPLETE_SAID, PREFIX, ERROR = (
+COMPLETE, COMPLETE_REPORTED, PREFIX, ERROR = (
     "complete",
     "complete, damage said",
     "prefix, damage said",
     "typed error",
 )
 OTHER_ORDER = "right by topic, other order, damage said"
-SILENT, SILENT_META, CHANGED_SAID = (
+SILENT, SILENT_META, CHANGED_REPORTED = (
     "silent payload change",
     "silent topic/time change",
     "changed, damage said",
@@ -845,20 +892,20 @@ VIOLATION = "VIOLATION"
 STDOUT_ONLY = "exit 3, file on stdout only"
 OUTCOMES = (
     COMPLETE,
-    COMPLETE_SAID,
+    COMPLETE_REPORTED,
     PREFIX,
     OTHER_ORDER,
     ERROR,
     SILENT,
     SILENT_META,
-    CHANGED_SAID,
+    CHANGED_REPORTED,
     VIOLATION,
 )
 
 
 @dataclass
 class Outcome:
-    """What came of one case."""
+    """Result of one case. n: messages read; peak_mb: resident memory of the child process."""
 
     kind: str
     detail: str = ""
@@ -868,10 +915,14 @@ class Outcome:
     lines: list[str] = field(default_factory=list)
 
 
-def read_outcome(path: Path, truth: list[Seen], checked: str) -> Outcome:
-    """Read everything and decode it, and judge: an exact prefix with the fault said, or an error that names the file."""
-    got: list[Seen] = []
-    said: list[str] = []
+def read_outcome(path: Path, truth: list[MessageKey], checked: str) -> Outcome:
+    """Read and decode all messages and judge the reader.
+
+    Right is an exact prefix of `truth` with the damage reported, or an error that names the file.
+    checked: what protects the bytes, see Kind.
+    """
+    keys: list[MessageKey] = []
+    reported: list[str] = []
     error: DgevalError | None = None
     checksums = ""
     try:
@@ -886,72 +937,74 @@ def read_outcome(path: Path, truth: list[Seen], checked: str) -> Outcome:
                     return Outcome(
                         VIOLATION,
                         f"not a message: log time {message.log_ns!r}, {type(message.data)}",
-                        len(got),
+                        len(keys),
                     )
-                got += seen([message])
+                keys += message_keys([message])
                 try:
                     opened.decode(message)
                 except UndecodableError as fault:
                     if path.name not in str(fault):
                         return Outcome(
-                            VIOLATION, f"UndecodableError does not name the file: {fault}", len(got)
+                            VIOLATION,
+                            f"UndecodableError does not name the file: {fault}",
+                            len(keys),
                         )
         finally:
-            said = [str(d) for d in opened.damage]
+            reported = [str(d) for d in opened.damage]
             checksums = opened.container.checksums
     except DgevalError as fault:
         error = fault
     except BaseException as fault:
-        where = traceback.extract_tb(fault.__traceback__)[-1]
-        at = f"{Path(where.filename).name}:{where.lineno}"
+        frame = traceback.extract_tb(fault.__traceback__)[-1]
+        at = f"{Path(frame.filename).name}:{frame.lineno}"
         return Outcome(
             VIOLATION,
             f"foreign exception {type(fault).__name__}: {str(fault)[:200]} ({at})",
-            len(got),
+            len(keys),
         )
-    n = len(got)
-    exact = got == truth[:n]
-    what = str(error) if error is not None else "; ".join(said)
-    for line in said if error is None else [str(error)]:
+    n = len(keys)
+    exact = keys == truth[:n]
+    text = str(error) if error is not None else "; ".join(reported)
+    for line in reported if error is None else [str(error)]:
         if path.name not in line:
             return Outcome(VIOLATION, f"the file is not named: {line}", n)
     if error is not None:
         return (
-            Outcome(ERROR, what, n)
+            Outcome(ERROR, text, n)
             if exact
-            else Outcome(VIOLATION, f"wrong messages, then {what}", n)
+            else Outcome(VIOLATION, f"wrong messages, then {text}", n)
         )
     if exact:
         if n == len(truth):
-            return Outcome(COMPLETE_SAID if said else COMPLETE, what, n)
-        if said:
-            return Outcome(PREFIX, what, n)
+            return Outcome(COMPLETE_REPORTED if reported else COMPLETE, text, n)
+        if reported:
+            return Outcome(PREFIX, text, n)
         return Outcome(VIOLATION, f"{len(truth) - n} of {len(truth)} messages lost in silence", n)
     first = next(
-        (i for i, (a, b) in enumerate(zip(got, truth, strict=False)) if a != b), len(truth)
+        (i for i, (a, b) in enumerate(zip(keys, truth, strict=False)) if a != b), len(truth)
     )
     claim = "CRC-32 per chunk, checked"
-    if said and _in_order_by_topic(got, truth):
-        return Outcome(OTHER_ORDER, what, n)
-    if checked == "chunk" or checksums == claim or (checked == "file" and not said):
-        said_text = f"damage said: {what}" if said else "in silence"
+    if reported and _in_order_by_topic(keys, truth):
+        return Outcome(OTHER_ORDER, text, n)
+    if checked == "chunk" or checksums == claim or (checked == "file" and not reported):
+        how_reported = f"damage said: {text}" if reported else "in silence"
         return Outcome(
-            VIOLATION, f"message {first} of {n} (true {len(truth)}) is wrong, {said_text}", n
+            VIOLATION, f"message {first} of {n} (true {len(truth)}) is wrong, {how_reported}", n
         )
-    if said:
-        return Outcome(CHANGED_SAID, what, n)
+    if reported:
+        return Outcome(CHANGED_REPORTED, text, n)
     if n != len(truth):
         return Outcome(
             VIOLATION,
             f"{n} messages instead of {len(truth)} in silence, the first wrong one is {first}",
             n,
         )
-    same_places = [g[:2] for g in got] == [t[:2] for t in truth]
+    same_places = [g[:2] for g in keys] == [t[:2] for t in truth]
     return Outcome(SILENT if same_places else SILENT_META, f"first wrong message {first}", n)
 
 
 def parse_definitions_once() -> None:
-    """Remember parsed message definitions over cases: nine tenths of a case's time, and the same in all of them."""
+    """Cache parsed message definitions over cases; parsing them takes 90 % of a case's time."""
     from functools import cache
 
     import rosbags.highlevel.anyreader as anyreader
@@ -962,30 +1015,33 @@ def parse_definitions_once() -> None:
     anyreader.get_types_from_msg = cache(anyreader.get_types_from_msg)
 
 
-def _in_order_by_topic(got: list[Seen], truth: list[Seen]) -> bool:
-    """Each topic on its own is an exact prefix: only the order between topics is another."""
-    for topic in {m[0] for m in got}:
-        mine = [m for m in got if m[0] == topic]
-        if mine != [m for m in truth if m[0] == topic][: len(mine)]:
+def _in_order_by_topic(keys: list[MessageKey], truth: list[MessageKey]) -> bool:
+    """Each topic on its own is an exact prefix; only the order between topics differs."""
+    for topic in {m[0] for m in keys}:
+        of_topic = [m for m in keys if m[0] == topic]
+        if of_topic != [m for m in truth if m[0] == topic][: len(of_topic)]:
             return False
     return True
 
 
-# --- children with a limit on time and memory -----------------------------------------------------------------------
+# --- children with a limit on time and memory -----------------------------------------------------
 
 
 def in_children(functions: list[Callable[[], Outcome]], seconds: float = 20.0) -> list[Outcome]:
-    """All in one child, as a fork costs ten times a case; each in its own where that child did not come through."""
+    """Run all cases in one child process, because a fork takes ten times as long as a case.
+
+    Each case runs in its own child where the common child failed.
+    """
     results: list[Outcome] = []
 
     def together() -> Outcome:
         return Outcome("together", lines=[pickle.dumps([f() for f in functions]).hex()])
 
-    whole = in_child(together, seconds)
-    if whole.kind == "together" and whole.peak_mb < 700:
-        results = pickle.loads(bytes.fromhex(whole.lines[0]))
+    batch = in_child(together, seconds)
+    if batch.kind == "together" and batch.peak_mb < 700:
+        results = pickle.loads(bytes.fromhex(batch.lines[0]))
         for result in results:
-            result.seconds, result.peak_mb = whole.seconds / len(results), whole.peak_mb
+            result.seconds, result.peak_mb = batch.seconds / len(results), batch.peak_mb
         return results
     return [in_child(f, seconds) for f in functions]
 
@@ -993,7 +1049,10 @@ def in_children(functions: list[Callable[[], Outcome]], seconds: float = 20.0) -
 def in_child(
     function: Callable[[], Outcome], seconds: float = 20.0, extra_mb: int = 1024
 ) -> Outcome:
-    """Run in a forked child that may use `extra_mb` of address space more than this process and so many seconds."""
+    """Run in a forked child with limits.
+
+    seconds: of wall time. extra_mb: address space in MB more than this process has.
+    """
     started = time.perf_counter()
     read_end, write_end = os.pipe()
     pid = os.fork()
@@ -1010,11 +1069,11 @@ def in_child(
         os._exit(0)
     os.close(write_end)
     parts: list[bytes] = []
-    late = False
+    timed_out = False
     while True:
-        left = seconds - (time.perf_counter() - started)
-        if left <= 0 or not select.select([read_end], [], [], left)[0]:
-            late = True
+        left_s = seconds - (time.perf_counter() - started)
+        if left_s <= 0 or not select.select([read_end], [], [], left_s)[0]:
+            timed_out = True
             os.kill(pid, signal.SIGKILL)
             break
         block = os.read(read_end, 1 << 16)
@@ -1023,7 +1082,7 @@ def in_child(
         parts.append(block)
     os.close(read_end)
     _, status, usage = os.wait4(pid, 0)
-    if late:
+    if timed_out:
         result = Outcome(VIOLATION, f"not done after {seconds} s")
     elif not parts:
         result = Outcome(VIOLATION, f"the process died (status {status})")
@@ -1035,7 +1094,10 @@ def in_child(
 
 
 def run_cli(arguments: list[str]) -> tuple[int, str, str]:
-    """dgeval's command line in this (forked) process: exit code, standard output and error. Ends as `python -m` does."""
+    """Run dgeval's command line in this (forked) process.
+
+    Returns exit code, standard output and standard error, as `python -m dgeval` would give them.
+    """
     from dgeval.cli import app
 
     with tempfile.TemporaryDirectory() as scratch:
@@ -1065,19 +1127,20 @@ def run_cli(arguments: list[str]) -> tuple[int, str, str]:
 
 
 def judge_cli(code: int, out: str, err: str, name: str, intact: bool | None) -> Outcome:
-    """Exit code 0, 2 or 3, no traceback, the file named on standard error for 2 and 3; 0 only for what is intact.
+    """Judge a call of the command line.
 
-    `intact` None: it can't be told (no checksum), 0 and 3 are both right.
+    Right are exit codes 0, 2 and 3 without a traceback. 2 and 3 name the file on standard error. 0
+    is right only for an intact file. intact None: unknown (no checksum), 0 and 3 are both right.
     """
     lines = [f"exit {code}", *err.strip().splitlines()[-4:]]
     if "Traceback (most recent call last)" in err + out:
         return Outcome(VIOLATION, f"traceback: {err.strip().splitlines()[-1][:300]}", lines=lines)
     if code not in (0, 2, 3):
         return Outcome(VIOLATION, f"exit code {code}: {err.strip()[-400:]}", lines=lines)
-    shown = name.splitlines()[0]
-    if code and shown not in err and shown in out:
+    file_name = name.splitlines()[0]
+    if code and file_name not in err and file_name in out:
         return Outcome(STDOUT_ONLY, lines=[f"exit {code}", *out.strip().splitlines()[2:4]])
-    if code and shown not in err:
+    if code and file_name not in err:
         where = "nowhere"
         return Outcome(
             VIOLATION,
@@ -1095,12 +1158,12 @@ def judge_cli(code: int, out: str, err: str, name: str, intact: bool | None) -> 
     return Outcome(f"exit {code}", lines=lines)
 
 
-# --- inputs that are wrong in what they say -------------------------------------------------------------------------
+# --- intact files with wrong contents -------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Semantic:
-    """A recording whose bytes are intact and whose contents are not, and the exit codes that are right for it."""
+    """A recording with intact bytes and wrong contents, and the right exit codes for it."""
 
     name: str
     change: Callable[[list[Entry], int], list[Entry]]
@@ -1113,7 +1176,10 @@ class Semantic:
 def _on(
     topic: str, change: Callable[[int, Entry], Entry | None]
 ) -> Callable[[list[Entry], int], list[Entry]]:
-    """Apply a change to the k-th message of each topic that starts with `topic`; None takes it away."""
+    """Apply `change` to every message of the topics that start with `topic`.
+
+    It gets the message's number and the message; None removes it.
+    """
 
     def apply(entries: list[Entry], ros: int) -> list[Entry]:
         out: list[Entry] = []
@@ -1153,10 +1219,12 @@ def _both(
     return apply
 
 
-def _depth_of(make: Callable[[Any], Any], **how: Any) -> Callable[[list[Entry], int], list[Entry]]:
+def _depth_of(
+    make: Callable[[Any], Any], **fields: Any
+) -> Callable[[list[Entry], int], list[Entry]]:
     def apply(entries: list[Entry], ros: int) -> list[Entry]:
-        encoding = how.get("encoding", "16UC1")
-        rest = {k: v for k, v in how.items() if k != "encoding"}
+        encoding = fields.get("encoding", "16UC1")
+        rest = {k: v for k, v in fields.items() if k != "encoding"}
         return _on(
             DEPTH,
             lambda k, e: dataclasses.replace(
@@ -1167,11 +1235,11 @@ def _depth_of(make: Callable[[Any], Any], **how: Any) -> Callable[[list[Entry], 
     return apply
 
 
-def _info(**how: Any) -> Callable[[list[Entry], int], list[Entry]]:
+def _info(**fields: Any) -> Callable[[list[Entry], int], list[Entry]]:
     def apply(entries: list[Entry], ros: int) -> list[Entry]:
-        return _on(INFO, lambda k, e: dataclasses.replace(e, value=camera_info(ros, _t(k), **how)))(
-            entries, ros
-        )
+        return _on(
+            INFO, lambda k, e: dataclasses.replace(e, value=camera_info(ros, _t(k), **fields))
+        )(entries, ros)
 
     return apply
 
@@ -1488,7 +1556,8 @@ SEMANTIC = (
                 e,
                 data=URDF.replace(
                     "</robot>",
-                    '<joint name="j2" type="fixed"><parent link="finger"/><child link="palm"/></joint></robot>',
+                    '<joint name="j2" type="fixed"><parent link="finger"/><child '
+                    'link="palm"/></joint></robot>',
                 ),
             ),
         ),

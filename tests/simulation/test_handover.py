@@ -11,11 +11,11 @@ import pytest
 from benchmarks.verdict import scene_from
 from dgeval.determinism import generator
 from dgeval.geometry import rotation_angle
+from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, Scenario, load_scenario, plan_trial
 from dgeval.simulation.setting import Setting
-from dgeval.simulation.trial import OPEN
 from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, home, matrix_of, twin_path
 from dgeval.verdict.twin import Twin
@@ -66,8 +66,10 @@ def test_the_twin_stays_with_the_presenter() -> None:
 
 
 def test_who_is_not_gripped_holds_on_and_who_lets_go_drops() -> None:
-    world = World(THINGS["pudding_box"], 0.0, setting=Setting(presenter=presenter()))
-    world.start(home(world.kinematics, 0.35), OPEN, 0, 0, 0, 0)
+    world = World(
+        THINGS["pudding_box"], 0.0, setting=Setting(presenter=presenter()), gripper=FIVE_FINGERS
+    )
+    world.start(home(world, 0.35), FIVE_FINGERS.open, 0, 0, 0, 0)
     for _ in range(200):
         world.advance()
     held = world.T_base_object()[2, 3]

@@ -22,6 +22,7 @@ from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
 from dgeval.robots.dlr_hit_hand import GRASP_CENTRE
+from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.simulation.blame import blame
 from dgeval.simulation.campaign import Campaign, run_campaign, simulate, with_images
 from dgeval.simulation.faults import Faults
@@ -253,17 +254,21 @@ def test_self_filter_finds_the_hand_that_the_camera_sees(egl: None) -> None:
     """The URDF's solids at the recorded joints against the renderer's own picture of palm, thumb and fingers."""
     scenario = load_scenario("conveyor")
     wanted = plan("pudding_box")
-    world = World(ten_objects()["pudding_box"], wanted.speed, true_cameras(scenario, wanted))
+    world = World(
+        ten_objects()["pudding_box"],
+        wanted.speed,
+        true_cameras(scenario, wanted),
+        gripper=FIVE_FINGERS,
+    )
     from dgeval.robots.description import load_description
+    from dgeval.robots.dlr_hit_hand import T_hand_camera
     from dgeval.robots.urdf import robot_urdf
-    from dgeval.simulation.perception import T_hand_camera
     from dgeval.simulation.render import Eyes
     from dgeval.simulation.seeing import hand_shapes
-    from dgeval.simulation.trial import OPEN
     from dgeval.simulation.world import home
 
-    world.start(home(world.kinematics, -0.2), OPEN, wanted.x, wanted.y, wanted.yaw, wanted.speed)
-    description = load_description(robot_urdf(T_hand_camera), "test", (), 0.01)
+    world.start(home(world, -0.2), FIVE_FINGERS.open, wanted.x, wanted.y, wanted.yaw, wanted.speed)
+    description = load_description(robot_urdf(T_hand_camera, FIVE_FINGERS), "test", (), 0.01)
     shapes = hand_shapes(description, world, world.T_base_hand() @ T_hand_camera)
     with Eyes(world, true_cameras(scenario, wanted), depth_profile(scenario), 0, 0) as eyes:
         depth = eyes.exact_depth("colour")

@@ -15,7 +15,9 @@ from dgeval.recording.contract import GRASP_TOPIC
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
 from dgeval.robots.description import load_description
-from dgeval.robots.hand import FIVE_FINGERS, JAW, gripper_of
+from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
+from dgeval.robots.hand import hand_of
+from dgeval.robots.parallel_jaw import HAND as JAW
 from dgeval.robots.parallel_jaw import OPEN, TRAVEL, finger_targets
 from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.campaign import Campaign, prove_trial
@@ -101,9 +103,9 @@ def test_disc_carries_the_object_through_its_angle() -> None:
 def test_description_and_physics_have_the_same_gripper() -> None:
     """Catches a finger on the wrong side, a camera or grasp frame elsewhere than the physics has them."""
     description = load_description(robot_urdf(JAW.T_hand_camera, JAW), "jaw", (), 0.012)
-    assert gripper_of({j.name for j in description.joints.values()}) is JAW
-    assert gripper_of({"thumb_0"}) is None
-    assert gripper_of(FIVE_FINGERS.joints) is FIVE_FINGERS
+    assert hand_of({j.name for j in description.joints.values()}) is JAW
+    assert hand_of({"thumb_0"}) is None
+    assert hand_of(FIVE_FINGERS.joints) is FIVE_FINGERS
     world = World(THINGS["can"], 0.0, gripper=JAW)
     world.start(NEAR_HOME, OPEN, 0.5, 0.0, 0.0, 0.0)
     T_left = np.linalg.inv(pose_of(world.data, "hand_base")) @ pose_of(world.data, "left_jaw")

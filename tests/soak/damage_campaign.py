@@ -1,7 +1,8 @@
-"""The damage campaign: every container through every mutation, each in a child with limits, counted in a Markdown table.
+"""The damage campaign: every container with every mutation, each in a child process with limits.
 
-Catches what the slice in test_damage.py is too small to find: a reader that gives wrong or fewer messages in silence,
-foreign exceptions, hangs, memory out of proportion, tracebacks and wrong exit codes of the command line.
+Outcomes are counted in a Markdown table. It catches what the selection in test_damage.py is too
+small to find: a reader that gives wrong or fewer messages and doesn't report it, foreign
+exceptions, hangs, memory out of proportion, tracebacks and wrong exit codes of the command line.
 
     python tests/soak/damage_campaign.py --seeds 200 --out damage.md
 """
@@ -28,13 +29,11 @@ import dgeval.runs.trial_job
 import dgeval.runs.workers  # noqa: F401
 from dgeval.cli import app  # noqa: F401
 
-PEAK_MB = (
-    1024  # more resident memory than this, over what the campaign itself holds, is a violation
-)
+PEAK_MB = 1024  # MB of resident memory of a child; more is a violation
 
 
 class Report:
-    """Counts by container and mutation, and every violation with how to make it."""
+    """Counts by container and mutation, and every violation with the case that shows it."""
 
     def __init__(self) -> None:
         self.counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
@@ -92,7 +91,7 @@ def damage_bytes(
     """Mutations of bytes: the reader on all, the command line on every n-th of each row."""
     for kind in kinds:
         good = d.make_good(kind, _fresh(scratch, kind.name.replace(" ", "-").replace(",", "")))
-        met: Counter[str] = Counter()
+        cases_done: Counter[str] = Counter()
         for batch in _batches(d.cases(good, seeds), 40):
             paths = [
                 d.place_case(good, case, _fresh(scratch, f"case{i}"))
@@ -103,10 +102,10 @@ def damage_bytes(
             )
             for case, path, outcome in zip(batch, paths, outcomes, strict=True):
                 report.add(kind.name, case.mutation, case.detail, outcome)
-                met[case.mutation] += 1
-                if cli_every and met[case.mutation] % cli_every == min(1, cli_every - 1):
+                cases_done[case.mutation] += 1
+                if cli_every and cases_done[case.mutation] % cli_every == min(1, cli_every - 1):
                     _through_cli(report, kind, case, path, outcome, scratch)
-        print(f"{kind.name}: {sum(met.values())} cases", file=sys.stderr, flush=True)
+        print(f"{kind.name}: {sum(cases_done.values())} cases", file=sys.stderr, flush=True)
 
 
 def _batches(items: Iterable[d.Case], size: int) -> Iterator[list[d.Case]]:
@@ -119,7 +118,7 @@ def _through_cli(
     report: Report, kind: d.Kind, case: d.Case, path: Path, outcome: d.Outcome, scratch: Path
 ) -> None:
     intact: bool | None = None
-    if outcome.kind in (d.COMPLETE_SAID, d.PREFIX, d.ERROR, d.OTHER_ORDER, d.CHANGED_SAID):
+    if outcome.kind in (d.COMPLETE_REPORTED, d.PREFIX, d.ERROR, d.OTHER_ORDER, d.CHANGED_REPORTED):
         intact = False
     elif outcome.kind == d.COMPLETE:
         intact = True
@@ -154,13 +153,19 @@ def bombs(report: Report, scratch: Path) -> None:
         path.write_bytes(d.bomb(compression, 7 << 28))
         outcome = d.in_child(lambda p=path: d.read_outcome(p, [], "chunk"), extra_mb=6000)
         if outcome.kind != d.VIOLATION and outcome.peak_mb > PEAK_MB:
-            outcome.detail = f"{outcome.peak_mb:.0f} MB resident for a file of {path.stat().st_size} bytes; {outcome.detail}"
+            outcome.detail = (
+                f"{outcome.peak_mb:.0f} MB resident for a file of {path.stat().st_size} bytes; "
+                f"{outcome.detail}"
+            )
             outcome.kind = d.VIOLATION
         report.add(f"mcap {compression}", "bomb", "1000 bytes claimed, 1.75 GiB inside", outcome)
 
 
 def contents(report: Report, containers: tuple[str, ...], scratch: Path) -> list[str]:
-    """Wrong contents in intact files, through the command line; one line each with exit code and message."""
+    """Wrong contents in intact files, through the command line.
+
+    Returns one line of a Markdown table per case and command, with exit code and message.
+    """
     lines = []
     for container in containers:
         for case in d.SEMANTIC:
@@ -181,20 +186,24 @@ def contents(report: Report, containers: tuple[str, ...], scratch: Path) -> list
                     extra_mb=3000,
                 )
                 report.add(f"contents {command}, {container}", "contents", case.name, outcome)
-                said = (
+                message = (
                     (outcome.lines[1:] or [""])[-1]
                     .replace("|", "/")
                     .replace(str(scratch), "…")[:220]
                 )
                 mark = "**VIOLATION** " if outcome.kind == d.VIOLATION else ""
                 lines.append(
-                    f"| {container} | {case.name} | {command} {mark}{(outcome.lines or ['-'])[0]} | {said} |"
+                    f"| {container} | {case.name} | {command} {mark}{(outcome.lines or ['-'])[0]} "
+                    f"| {message} |"
                 )
     return lines
 
 
 def real_processes(report: Report, kinds: list[d.Kind], scratch: Path) -> None:
-    """A few cases through `python -m dgeval` itself, so that the in-process command line is known to tell the truth."""
+    """A few cases through `python -m dgeval` itself.
+
+    Catches a difference between it and the command line that runs in the campaign's process.
+    """
     for kind in kinds:
         good = d.make_good(kind, _fresh(scratch, "real"))
         for case in [

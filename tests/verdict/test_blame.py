@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dgeval.failure_rule import Facts, FailureClass, SubCause, Verdict
+from dgeval.failure_rule import CLASSES, Facts, FailureClass, Unknown, Verdict
 from dgeval.verdict.beliefs import Beliefs
-from dgeval.verdict.blame import Blame, blame_of
-from dgeval.verdict.decide import Cause
-from dgeval.verdict.twin import Sample
+from dgeval.verdict.decide import Blame, Decision, Draw, Draws, blame_of
 
-SUB_CAUSES: dict[FailureClass, SubCause] = {
+SUB_CAUSES: dict[FailureClass, str] = {
     "imprecise_pose": "missed",
     "collision": "displaced",
     "timing": "late",
@@ -31,33 +29,26 @@ def draw(
     restored: tuple[str, ...] = (),
     weight: float = 1.0,
     closed: bool = True,
-) -> Sample:
+) -> Draw:
     """One draw; `restored`: without which error it holds the object."""
     facts = Facts(closed, 0.0, 0.0, (), None, 0.0)
     verdict = Verdict(failure_class, SUB_CAUSES[failure_class])
-    return Sample(verdict, facts, True, weight, dict.fromkeys(restored, True), None, None)
+    return Draw(verdict, facts, True, weight, dict.fromkeys(restored, True), None, None)
 
 
-def failed(
-    *samples: Sample,
-    sub_cause: SubCause | None = None,
-    shift_s: float | None = None,
-    failure_class: FailureClass | None = None,
-) -> Cause:
-    """A cause of the first sample's class, 80 % sure."""
-    chosen = failure_class or samples[0].verdict.failure_class
-    at = ("imprecise_pose", "collision", "timing", "unknown").index(chosen)
-    p = [0.1, 0.1, 0.0, 0.0]
-    p[at] = 0.8
-    return Cause(
-        chosen,
-        (p[0], p[1], p[2], p[3]),
-        sub_cause or samples[0].verdict.sub_cause,
-        shift_s,
-        samples,
-        1.0,
-        "twin",
-    )
+def failed(*draws: Draw, sub_cause: str | None = None, shift_s: float | None = None) -> Decision:
+    """A decision for the first draw's class, 80 % sure."""
+    found = draws[0].verdict
+    p = [0.1, 0.1, 0.0]
+    p[CLASSES.index(found.failure_class)] = 0.8
+    answer = Verdict(found.failure_class, sub_cause or found.sub_cause, shift_s)
+    return Decision(answer, (p[0], p[1], p[2], 0.0), Draws(draws, 1.0, "twin"))
+
+
+def doubted(*draws: Draw) -> Decision:
+    """A decision for no class, 80 % unsure."""
+    answer = Unknown("the draws disagree")
+    return Decision(answer, (0.1, 0.1, 0.0, 0.8), Draws(draws, 1.0, "twin"))
 
 
 def believed(
@@ -68,11 +59,20 @@ def believed(
     return Beliefs(errors, np.eye(4) if goal else None, gains)
 
 
+def term_of(blame: Blame) -> str:
+    return "unknown" if isinstance(blame.part, Unknown) else blame.part
+
+
+def why_unknown(blame: Blame) -> str | None:
+    """None where a part is blamed."""
+    return blame.part.reason if isinstance(blame.part, Unknown) else None
+
+
 def check(
     blame: Blame, term: str, probability: float, why: str | None = None, **sizes_mm: float
 ) -> None:
     """Term, probability, reason; sizes in mm."""
-    assert (blame.term, blame.why_unknown) == (term, why)
+    assert (term_of(blame), why_unknown(blame)) == (term, why)
     assert blame.probability == pytest.approx(probability)
     assert blame.sizes == pytest.approx({part: mm * 0.001 for part, mm in sizes_mm.items()})
 
@@ -82,8 +82,8 @@ def check(
 
 def test_an_unknown_class_has_no_part_to_blame() -> None:
     """Catches beliefs asked before the class."""
-    for beliefs in (believed(servo=50.0), "beliefs not recorded"):
-        blame = blame_of(failed(draw(), failure_class="unknown"), beliefs)
+    for beliefs in (believed(servo=50.0), Unknown("beliefs not recorded")):
+        blame = blame_of(doubted(draw()), beliefs)
         check(blame, "unknown", 0.0, "the class is unknown")
         assert blame.source is None
 
@@ -91,7 +91,7 @@ def test_an_unknown_class_has_no_part_to_blame() -> None:
 @pytest.mark.parametrize("failure_class", ["imprecise_pose", "collision", "timing"])
 def test_without_beliefs_the_reason_is_theirs(failure_class: FailureClass) -> None:
     """Catches a part blamed by the class alone."""
-    blame = blame_of(failed(draw(failure_class)), "beliefs not recorded")
+    blame = blame_of(failed(draw(failure_class)), Unknown("beliefs not recorded"))
     check(blame, "unknown", 0.0, "beliefs not recorded")
     assert blame.source is None
 
@@ -136,7 +136,7 @@ def test_what_counts_as_a_wrong_law(gains: tuple[float, float] | None, wrong: bo
     0.
     """
     blame = blame_of(failed(draw("collision")), believed(gains, servo=1.0))
-    assert blame.term == ("servo" if wrong else "unknown")
+    assert term_of(blame) == ("servo" if wrong else "unknown")
 
 
 # a hand that closed
@@ -155,9 +155,9 @@ def test_the_one_part_without_which_it_holds(part: str) -> None:
 def test_only_draws_of_the_class_are_asked() -> None:
     """Catches shares over draws that say something else failed."""
     others = [draw("timing", ("velocity",), 5.0), draw("collision", ("velocity",), 5.0)]
-    cause = failed(draw(restored=("tracking",)), *others)
+    decision = failed(draw(restored=("tracking",)), *others)
     check(
-        blame_of(cause, believed(tracking=20.0, velocity=20.0)),
+        blame_of(decision, believed(tracking=20.0, velocity=20.0)),
         "tracking",
         1.0,
         tracking=20.0,
@@ -178,9 +178,9 @@ def test_half_of_the_draws_are_not_enough() -> None:
 @pytest.mark.parametrize(("size_mm", "term"), [(6.9, "synthesis"), (7.1, "tracking")])
 def test_a_part_within_what_grasps_survive_is_not_blamed(size_mm: float, term: str) -> None:
     """Catches a tolerance that is not looked at where the twin holds without the part."""
-    cause = failed(draw(restored=("tracking",), weight=0.6), draw(weight=0.4))
+    decision = failed(draw(restored=("tracking",), weight=0.6), draw(weight=0.4))
     check(
-        blame_of(cause, believed(tracking=size_mm)),
+        blame_of(decision, believed(tracking=size_mm)),
         term,
         0.6 if term == "tracking" else 0.4,
         tracking=size_mm,
@@ -214,9 +214,9 @@ def test_where_several_would_do_they_are_named_in_order() -> None:
 
 def test_where_only_all_together_restore_the_one_large_part_is_blamed() -> None:
     """Catches the part's own share, which is 0, for its probability."""
-    cause = failed(draw(restored=("all",), weight=0.8), draw(weight=0.2))
+    decision = failed(draw(restored=("all",), weight=0.8), draw(weight=0.2))
     beliefs = believed(servo=3.0, tracking=20.0, velocity=6.9)
-    check(blame_of(cause, beliefs), "tracking", 0.8, servo=3.0, tracking=20.0, velocity=6.9)
+    check(blame_of(decision, beliefs), "tracking", 0.8, servo=3.0, tracking=20.0, velocity=6.9)
 
 
 @pytest.mark.parametrize(("second_mm", "term"), [(9.9, "tracking"), (10.1, "unknown")])
@@ -236,19 +236,19 @@ def test_where_only_all_together_restore_one_must_be_twice_the_next(
 def test_all_together_restoring_in_half_of_the_draws_says_nothing() -> None:
     """Catches `>=` for `>`."""
     blame = blame_of(failed(draw(restored=("all",)), draw()), believed(tracking=20.0))
-    assert blame.term == "unknown"
+    assert term_of(blame) == "unknown"
 
 
 def test_the_largest_may_be_blamed_though_smaller_ones_restore_alone() -> None:
     """Catches the two questions asked in the other order, or only of parts that restore alone."""
-    cause = failed(draw(restored=("velocity", "servo", "all")))
+    decision = failed(draw(restored=("velocity", "servo", "all")))
     beliefs = believed(tracking=30.0, velocity=14.0, servo=13.0)
-    check(blame_of(cause, beliefs), "tracking", 1.0, tracking=30.0, velocity=14.0, servo=13.0)
+    check(blame_of(decision, beliefs), "tracking", 1.0, tracking=30.0, velocity=14.0, servo=13.0)
     # one that restores alone goes before it
-    cause = failed(
+    decision = failed(
         draw(restored=("velocity", "all"), weight=0.6), draw(restored=("all",), weight=0.4)
     )
-    check(blame_of(cause, beliefs), "velocity", 0.6, tracking=30.0, velocity=14.0, servo=13.0)
+    check(blame_of(decision, beliefs), "velocity", 0.6, tracking=30.0, velocity=14.0, servo=13.0)
 
 
 # a wrong law where the hand closed
@@ -256,8 +256,8 @@ def test_the_largest_may_be_blamed_though_smaller_ones_restore_alone() -> None:
 
 def test_a_wrong_law_goes_before_small_errors() -> None:
     """Catches a tracking error that follows from the law blamed instead of it."""
-    cause = failed(draw(restored=("tracking",)))
-    check(blame_of(cause, believed(WRONG_LAW, tracking=13.9)), "servo", STATED, tracking=13.9)
+    decision = failed(draw(restored=("tracking",)))
+    check(blame_of(decision, believed(WRONG_LAW, tracking=13.9)), "servo", STATED, tracking=13.9)
     check(
         blame_of(failed(draw()), believed(WRONG_LAW, tracking=20.0)), "servo", STATED, tracking=20.0
     )
@@ -265,8 +265,8 @@ def test_a_wrong_law_goes_before_small_errors() -> None:
 
 def test_a_wrong_law_does_not_hide_a_part_that_restores_and_is_twice_the_tolerance() -> None:
     """Catches the law asked first: 14 mm and more that restore success are blamed."""
-    cause = failed(draw(restored=("tracking",), weight=0.8), draw(weight=0.2))
-    check(blame_of(cause, believed(WRONG_LAW, tracking=14.1)), "tracking", 0.8, tracking=14.1)
+    decision = failed(draw(restored=("tracking",), weight=0.8), draw(weight=0.2))
+    check(blame_of(decision, believed(WRONG_LAW, tracking=14.1)), "tracking", 0.8, tracking=14.1)
 
 
 def test_a_wrong_law_does_not_hide_a_huge_error() -> None:
@@ -327,9 +327,13 @@ def test_a_huge_error_is_blamed_before_execution() -> None:
 def test_a_close_at_the_wrong_time_is_executions() -> None:
     """Catches a shift with its sign, and sizes of other parts beside it."""
     blame = blame_of(failed(draw("timing"), shift_s=-0.3), believed(tracking=20.0, servo=3.0))
-    assert (blame.term, blame.sizes, blame.source) == ("execution", {"execution": 0.3}, "recorded")
+    assert (term_of(blame), blame.sizes, blame.source) == (
+        "execution",
+        {"execution": 0.3},
+        "recorded",
+    )
     assert blame.probability == pytest.approx(0.8), "that of the class"
-    assert blame.why_unknown is None
+    assert why_unknown(blame) is None
 
 
 def test_a_close_at_the_wrong_time_without_a_shift() -> None:
@@ -339,11 +343,11 @@ def test_a_close_at_the_wrong_time_without_a_shift() -> None:
 
 def test_a_part_that_restores_a_timing_failure_goes_before_execution() -> None:
     """Catches execution asked first: a velocity that is wrong closes the hand at the wrong time."""
-    cause = failed(draw("timing", ("velocity",)), shift_s=-0.3)
-    check(blame_of(cause, believed(velocity=20.0)), "velocity", 1.0, velocity=20.0)
+    decision = failed(draw("timing", ("velocity",)), shift_s=-0.3)
+    check(blame_of(decision, believed(velocity=20.0)), "velocity", 1.0, velocity=20.0)
     # several that restore it are not told apart, nor is it execution
-    cause = failed(draw("timing", ("velocity", "tracking")), shift_s=-0.3)
-    assert blame_of(cause, believed(velocity=20.0, tracking=20.0)).term == "unknown"
+    decision = failed(draw("timing", ("velocity", "tracking")), shift_s=-0.3)
+    assert term_of(blame_of(decision, believed(velocity=20.0, tracking=20.0))) == "unknown"
 
 
 def test_a_hand_that_closed_early_is_off_its_grasp_because_of_that() -> None:
@@ -351,7 +355,7 @@ def test_a_hand_that_closed_early_is_off_its_grasp_because_of_that() -> None:
     restored = draw("timing", ("servo",))
     beliefs = believed(servo=60.0)
     early = blame_of(failed(restored, sub_cause="early", shift_s=0.2), beliefs)
-    assert (early.term, early.sizes) == ("execution", {"execution": 0.2})
+    assert (term_of(early), early.sizes) == ("execution", {"execution": 0.2})
     check(
         blame_of(failed(restored, sub_cause="late", shift_s=-0.2), beliefs),
         "servo",
@@ -383,7 +387,7 @@ def test_where_no_part_is_off_what_the_robot_was_after_fails_too() -> None:
 # a hand that never closed
 
 
-def never(*restored: str, weight: float = 1.0) -> Cause:
+def never(*restored: str, weight: float = 1.0) -> Decision:
     """A hand that never closed; in the rest of the weight nothing restores success."""
     draws = [draw(restored=restored, weight=weight, closed=False)]
     if weight < 1:
@@ -447,6 +451,6 @@ def test_never_closed_at_a_grasp_that_would_not_have_held_is_synthesis() -> None
 
 def test_never_closed_is_asked_of_timing_too() -> None:
     """Catches execution blamed by the class, though the hand was not at its grasp."""
-    cause = failed(draw("timing", closed=False), sub_cause="never", shift_s=-0.5)
-    blame = blame_of(cause, believed(servo=30.0, tracking=20.0))
+    decision = failed(draw("timing", closed=False), sub_cause="never", shift_s=-0.5)
+    blame = blame_of(decision, believed(servo=30.0, tracking=20.0))
     check(blame, "tracking", STATED, servo=30.0, tracking=20.0)

@@ -9,21 +9,19 @@ reason that gets lost between the instrument and the row.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from dgeval.config import load_config
-from dgeval.failure_rule import Facts, FailureClass, SubCause, Verdict
+from dgeval.failure_rule import CLASSES, Facts, FailureClass, Unknown, Verdict
 from dgeval.verdict.beliefs import Beliefs
-from dgeval.verdict.blame import Blame
-from dgeval.verdict.decide import CLASSES, Cause
-from dgeval.verdict.judge import VERDICT_COLUMNS, Judgement, judge
+from dgeval.verdict.decide import Blame, Decision, Draw, Draws
+from dgeval.verdict.judge import Judgement, VerdictRow, judge
 from dgeval.verdict.outcome import Ended
-from dgeval.verdict.sentence import sentence
-from dgeval.verdict.twin import Sample
+from dgeval.verdict.sentence import Times, sentence
 
 JUDGE = "dgeval.verdict.judge"
 SECOND = 1_000_000_000
@@ -49,6 +47,11 @@ def trial(close_ns: int | None = CLOSE) -> Any:
     )
 
 
+def times(close_ns: int | None = CLOSE, pushed_ns: int | None = None) -> Times:
+    """The moments of `trial`."""
+    return Times(START, LAST, close_ns, pushed_ns)
+
+
 def hindsight(**changed: object) -> Any:
     values: dict[str, object] = {
         "gap_s": 0.4, "gap_sided": "two", "notes": ("a note of hindsight",),
@@ -59,36 +62,80 @@ def hindsight(**changed: object) -> Any:
 
 
 def draw(
-    failure_class: FailureClass, sub_cause: SubCause, link: str | None = None, **facts: object
-) -> Sample:
+    failure_class: FailureClass, sub_cause: str, link: str | None = None, **facts: object
+) -> Draw:
     values: dict[str, object] = {
         "closed": True, "displacement_m": 0.0, "displacement_deg": 0.0,
         "curve": CURVE, "contact_s": None, "height_m": 0.0,
     }  # fmt: skip
     known = Facts(**{**values, **facts})  # type: ignore[arg-type]
-    return Sample(Verdict(failure_class, sub_cause), known, True, 1.0, {}, None, link)
+    return Draw(Verdict(failure_class, sub_cause), known, True, 1.0, {}, None, link)
 
 
-def cause(*samples: Sample, p: float = 0.87, shift_s: float | None = None) -> Cause:
-    """A cause of the first sample's class and sub-cause with this probability."""
-    verdict = samples[0].verdict
-    chances = [p if c == verdict.failure_class else (1 - p) / 2 for c in CLASSES]
+def decided(*draws: Draw, p: float = 0.87, shift_s: float | None = None) -> Decision:
+    """A decision for the first draw's class and sub-cause with this probability."""
+    found = draws[0].verdict
+    chances = [p if c == found.failure_class else (1 - p) / 2 for c in CLASSES]
     probabilities = (chances[0], chances[1], chances[2], 0.0)
-    return Cause(
-        verdict.failure_class, probabilities, verdict.sub_cause, shift_s, samples, 0.75, "twin"
-    )
+    answer = Verdict(found.failure_class, found.sub_cause, shift_s)
+    return Decision(answer, probabilities, Draws(draws, 0.75, "twin"))
 
 
-UNKNOWN = Cause(
-    "unknown",
+UNKNOWN = Decision(
+    Unknown("it is not known"),
     (0.1, 0.3, 0.1, 0.5),
-    None,
-    None,
-    (draw("collision", "displaced"),),
-    0.04,
-    "twin",
-    "it is not known",
+    Draws((draw("collision", "displaced"),), 0.04, "twin"),
 )
+
+# the stages before
+
+
+@dataclass
+class Stages:
+    """What the stages before answer, and what the last of them was asked."""
+
+    ended: Ended = LEFT
+    scene: Any = None
+    decision: Decision | Unknown = UNKNOWN
+    blame: Blame | None = None
+    asked: tuple[object, ...] = ()
+
+
+Replace = Callable[..., Stages]
+CONFIG = load_config()
+BLAMED = Blame("tracking", 0.6, {"servo": 0.0031, "tracking": 0.0204}, "recorded")
+
+
+@pytest.fixture
+def stages(monkeypatch: pytest.MonkeyPatch) -> Replace:
+    """Outcome, scene, decision and blame replaced by given ones."""
+
+    def replaced(**given: Any) -> Stages:
+        out = Stages(
+            **{
+                "scene": SimpleNamespace(beliefs=Unknown("beliefs not recorded"), held=False),
+                "blame": BLAMED,
+                **given,
+            }
+        )
+
+        def decide_scene(*asked: object) -> Decision | Unknown:
+            out.asked = asked
+            return out.decision
+
+        def blame_of(found: Decision, beliefs: object) -> Blame | None:
+            assert found is out.decision
+            assert beliefs is out.scene.beliefs
+            return out.blame
+
+        monkeypatch.setattr(f"{JUDGE}.outcome_of", lambda *_: out.ended)
+        monkeypatch.setattr(f"{JUDGE}.scene_of", lambda *_: out.scene)
+        monkeypatch.setattr(f"{JUDGE}.decide_scene", decide_scene)
+        monkeypatch.setattr(f"{JUDGE}.blame_of", blame_of)
+        return out
+
+    return replaced
+
 
 # the sentence
 
@@ -106,12 +153,14 @@ UNKNOWN = Cause(
         ({}, None, "the hand pushed the object"),
     ],
 )
-def test_collision(seen: dict[str, int], link: str | None, expected: str) -> None:
+def test_collision(stages: Replace, seen: dict[str, int], link: str | None, expected: str) -> None:
     """Catches the first contact named where the push was seen, and radians or metres for the
-    displacement.
+    displacement. The judge says which of the two moments the sentence names.
     """
-    pushed = cause(draw("collision", "displaced", displacement_m=0.0234, displacement_deg=11.6))
-    assert sentence(trial(), hindsight(**seen), LEFT, pushed, link) == (
+    pushed = draw("collision", "displaced", link, displacement_m=0.0234, displacement_deg=11.6)
+    stages(decision=decided(pushed))
+    found = judge(trial(), hindsight(contact_link=None, **seen), CONFIG)
+    assert found.row.evidence == (
         f"{CLOSED}: collision (87%). "
         f"{expected}; it was 23 mm and 12 degrees off its path by the close, "
         "and on its path it could be lifted"
@@ -125,18 +174,18 @@ def test_collision(seen: dict[str, int], link: str | None, expected: str) -> Non
         ("late", -0.3, "closed 0.30 s earlier, at 2.20 s, lifts"),
     ],
 )
-def test_timing_of_a_hand_that_closed(sub_cause: SubCause, shift_s: float, expected: str) -> None:
+def test_timing_of_a_hand_that_closed(sub_cause: str, shift_s: float, expected: str) -> None:
     """Catches "earlier" for "later", and the shift added with the wrong sign."""
-    found = cause(draw("timing", sub_cause), shift_s=shift_s, p=0.914)
-    assert sentence(trial(), hindsight(), LEFT, found, None) == (
+    found = decided(draw("timing", sub_cause), shift_s=shift_s, p=0.914)
+    assert sentence(times(), LEFT, found, None) == (
         f"{CLOSED}: timing (91%). The same approach {expected} the object"
     )
 
 
 def test_timing_of_a_hand_that_never_closed() -> None:
     """Catches a shift counted from a close that never was: the last frame is at 4 s."""
-    found = cause(draw("timing", "never", closed=False), shift_s=-0.8)
-    assert sentence(trial(None), hindsight(), RAN_OUT, found, None) == (
+    found = decided(draw("timing", "never", closed=False), shift_s=-0.8)
+    assert sentence(times(None), RAN_OUT, found, None) == (
         f"{NEVER}: timing (87%). Closing at 3.20 s would have lifted the object"
     )
 
@@ -149,22 +198,20 @@ def test_timing_of_a_hand_that_never_closed() -> None:
     ("displacement_m", "pushed"),
     [(0.0, ""), (0.005, ""), (0.0082, ", not even without the push of 8 mm")],
 )
-def test_imprecise_pose(
-    sub_cause: SubCause, expected: str, displacement_m: float, pushed: str
-) -> None:
+def test_imprecise_pose(sub_cause: str, expected: str, displacement_m: float, pushed: str) -> None:
     """Catches the sub-causes swapped, a window in another order, and a push within the rule's 5 mm
     told.
     """
-    found = cause(draw("imprecise_pose", sub_cause, displacement_m=displacement_m))
-    assert sentence(trial(), hindsight(), LEFT, found, None) == (
+    found = decided(draw("imprecise_pose", sub_cause, displacement_m=displacement_m))
+    assert sentence(times(), LEFT, found, None) == (
         f"{CLOSED}: imprecise pose (87%). The object {expected}; no close from -1.0 s to +0.6 s lifts it{pushed}"
     )
 
 
 def test_imprecise_pose_of_a_hand_that_was_never_near() -> None:
     """Catches a window of close times read from an empty curve."""
-    found = cause(draw("imprecise_pose", "missed", curve=(), closed=False))
-    assert sentence(trial(None), hindsight(), RAN_OUT, found, None) == (
+    found = decided(draw("imprecise_pose", "missed", curve=(), closed=False))
+    assert sentence(times(None), RAN_OUT, found, None) == (
         f"{NEVER}: imprecise pose (87%). The hand was never near the object"
     )
 
@@ -174,75 +221,21 @@ def test_imprecise_pose_of_a_hand_that_was_never_near() -> None:
 )
 def test_unknown(close_ns: int | None, ended: Ended, told: str) -> None:
     """Catches a doubt whose reason is not told."""
-    found = sentence(trial(close_ns), hindsight(), ended, UNKNOWN, "thumb_2")
+    found = sentence(times(close_ns), ended, UNKNOWN, "thumb_2")
     assert found == f"{told}; the cause is unknown: it is not known"
 
 
 def test_the_facts_told_are_those_of_a_draw_of_the_class() -> None:
     """Catches the first draw's displacement told of a class that it did not vote for."""
     pushed = draw("collision", "displaced", displacement_m=0.03, displacement_deg=1.0)
-    found = replace(
-        cause(pushed), samples=(draw("imprecise_pose", "missed", displacement_m=0.09), pushed)
-    )
-    assert "it was 30 mm and 1 degrees off its path" in sentence(
-        trial(), hindsight(), LEFT, found, None
-    )
+    other = draw("imprecise_pose", "missed", displacement_m=0.09)
+    found = replace(decided(pushed), draws=Draws((other, pushed), 0.75, "twin"))
+    assert "it was 30 mm and 1 degrees off its path" in sentence(times(), LEFT, found, None)
 
 
 # the row
 
 
-@dataclass
-class Stages:
-    """What the stages before answer, and what the last of them was asked."""
-
-    ended: Ended = LEFT
-    scene: Any = None
-    cause: Cause | str = ""
-    blame: Blame | None = None
-    asked: tuple[object, ...] = ()
-
-
-Replace = Callable[..., Stages]
-BLAMED = Blame("tracking", 0.6, {"servo": 0.0031, "tracking": 0.0204}, "recorded")
-
-
-@pytest.fixture
-def stages(monkeypatch: pytest.MonkeyPatch) -> Replace:
-    """Outcome, scene, cause and blame replaced by given ones. A cause that is text is raised as a
-    ValueError.
-    """
-
-    def replaced(**given: Any) -> Stages:
-        out = Stages(
-            **{
-                "scene": SimpleNamespace(beliefs="beliefs not recorded", held=False),
-                "blame": BLAMED,
-                **given,
-            }
-        )
-
-        def cause_of(*asked: object) -> Cause:
-            out.asked = asked
-            if isinstance(out.cause, str):
-                raise ValueError(out.cause)
-            return out.cause
-
-        def blame_of(found: Cause, beliefs: object) -> Blame | None:
-            assert found is out.cause
-            assert beliefs is out.scene.beliefs
-            return out.blame
-
-        monkeypatch.setattr(f"{JUDGE}.outcome_of", lambda *_: out.ended)
-        monkeypatch.setattr(f"{JUDGE}.scene_of", lambda *_: out.scene)
-        monkeypatch.setattr(f"{JUDGE}.cause_of", cause_of)
-        monkeypatch.setattr(f"{JUDGE}.blame_of", blame_of)
-        return out
-
-    return replaced
-
-
-CONFIG = load_config()
 MEASURED = {"gap_s": 0.4, "gap_sided": "two", "speed_measured": pytest.approx(0.1)}
 NOTHING: dict[str, Any] = dict.fromkeys(
     ("failure_class", "p_imprecise_pose", "p_collision", "p_timing", "p_unknown", "sub_cause",
@@ -252,7 +245,8 @@ NOTHING: dict[str, Any] = dict.fromkeys(
 
 def test_the_columns_of_a_verdict() -> None:
     """Catches a column that is filled nowhere."""
-    assert set(VERDICT_COLUMNS) == set(NOTHING)
+    ending = {"outcome", "outcome_source", "evidence"}
+    assert {f.name for f in fields(VerdictRow)} - ending == set(NOTHING)
 
 
 @pytest.mark.parametrize(
@@ -266,11 +260,11 @@ def test_the_columns_of_a_verdict() -> None:
 )
 def test_what_did_not_fail_has_no_cause(stages: Replace, ended: Ended) -> None:
     """Catches physics run for a success, and a class given to it."""
-    asked = stages(ended=ended, cause=cause(draw("timing", "early"), shift_s=0.2))
+    asked = stages(ended=ended, decision=decided(draw("timing", "early"), shift_s=0.2))
     found = judge(trial(), hindsight(), CONFIG)
     rest = {"outcome": ended.outcome, "outcome_source": ended.source, "evidence": ended.evidence}
-    assert found.columns == NOTHING | MEASURED | rest
-    assert found == Judgement(found.columns, CLOSE, None, ("a note of hindsight",))
+    assert asdict(found.row) == NOTHING | MEASURED | rest
+    assert found == Judgement(found.row, CLOSE, None, ("a note of hindsight",))
     assert asked.asked == ()
 
 
@@ -280,7 +274,7 @@ def test_a_success_without_hindsight(stages: Replace) -> None:
     stages(ended=ended)
     found = judge(trial(None), None, CONFIG)
     rest = {"outcome": "success", "outcome_source": "label", "evidence": ended.evidence}
-    assert found == Judgement(NOTHING | rest, None, None, ())
+    assert found == Judgement(VerdictRow(**NOTHING | rest), None, None, ())
 
 
 NO_CLASS = {
@@ -301,36 +295,36 @@ def without_cause(why: str) -> dict[str, Any]:
 
 def test_a_failure_without_hindsight(stages: Replace) -> None:
     """Catches a scene that is asked for without the object's path."""
-    asked = stages(cause=cause(draw("timing", "early"), shift_s=0.2))
+    asked = stages(decision=decided(draw("timing", "early"), shift_s=0.2))
     found = judge(trial(), None, CONFIG)
-    assert found == Judgement(
-        NOTHING | without_cause("the object was never tracked"), CLOSE, None, ()
-    )
+    wanted = NOTHING | without_cause("the object was never tracked")
+    assert found == Judgement(VerdictRow(**wanted), CLOSE, None, ())
     assert asked.asked == ()
 
 
 def test_a_failure_without_a_scene(stages: Replace) -> None:
     """Catches a reason that is lost, and an instrument asked without a scene."""
     asked = stages(
-        scene="what the object stands on was never seen", cause=cause(draw("timing", "early"))
+        scene=Unknown("what the object stands on was never seen"),
+        decision=decided(draw("timing", "early")),
     )
     found = judge(trial(), hindsight(), CONFIG)
     wanted = NOTHING | MEASURED | without_cause("what the object stands on was never seen")
-    assert found == Judgement(wanted, CLOSE, None, ("a note of hindsight",))
+    assert found == Judgement(VerdictRow(**wanted), CLOSE, None, ("a note of hindsight",))
     assert asked.asked == ()
 
 
 def test_a_cloud_without_a_solid_is_no_crash(stages: Replace) -> None:
-    """Catches a ValueError of one trial that ends the run."""
-    stages(cause="the cloud of 40 points spans no volume")
+    """Catches a cloud without a solid that ends the run, and a reason that is lost."""
+    stages(decision=Unknown("the cloud of 40 points spans no volume"))
     found = judge(trial(), hindsight(), CONFIG)
     wanted = NOTHING | MEASURED | without_cause("the cloud of 40 points spans no volume")
-    assert found == Judgement(wanted, CLOSE, None, ("a note of hindsight",))
+    assert found == Judgement(VerdictRow(**wanted), CLOSE, None, ("a note of hindsight",))
 
 
 def test_the_instrument_is_the_configured_one(stages: Replace) -> None:
     """Catches a setting that is not passed on, and draws and seed mixed up."""
-    asked = stages(cause=cause(draw("timing", "early"), shift_s=0.2))
+    asked = stages(decision=decided(draw("timing", "early"), shift_s=0.2))
     settings = ("verdict.method=geometry", "verdict.draws=5", "verdict.least=0.7", "seed=9")
     judge(trial(), hindsight(), load_config(assignments=settings))
     assert asked.asked == (asked.scene, "geometry", 5, 9, 0.7)
@@ -339,14 +333,14 @@ def test_the_instrument_is_the_configured_one(stages: Replace) -> None:
 def test_the_row_of_a_failure(stages: Replace) -> None:
     """Catches probabilities in the order of the classes' names, and p_blame of the class."""
     given = replace(
-        cause(draw("collision", "displaced", displacement_m=0.02)),
+        decided(draw("collision", "displaced", displacement_m=0.02)),
         probabilities=(0.2, 0.7, 0.1, 0.0),
     )
-    stages(cause=given)
+    stages(decision=given)
     found = judge(trial(), hindsight(pushed_ns=START + 2 * SECOND), CONFIG)
-    text = sentence(trial(), hindsight(pushed_ns=START + 2 * SECOND), LEFT, given, "palm")
+    text = sentence(times(pushed_ns=START + 2 * SECOND), LEFT, given, "palm")
     assert text.startswith("the hand closed at 2.50 s")
-    assert found.columns == MEASURED | {
+    assert asdict(found.row) == MEASURED | {
         "outcome": "failure", "outcome_source": "inferred", "evidence": text,
         "failure_class": "collision", "p_imprecise_pose": 0.2, "p_collision": 0.7, "p_timing": 0.1,
         "p_unknown": 0.0, "sub_cause": "displaced", "blame": "tracking", "p_blame": 0.6, "belief_source": "recorded",
@@ -355,14 +349,14 @@ def test_the_row_of_a_failure(stages: Replace) -> None:
 
 def test_the_row_of_a_doubt(stages: Replace) -> None:
     """Catches a doubt that loses its probabilities, its reason, or its blame's reason."""
-    stages(cause=UNKNOWN, blame=Blame("unknown", 0.0, {}, None, "the class is unknown"))
+    stages(decision=UNKNOWN, blame=Blame(Unknown("the class is unknown"), 0.0, {}, None))
     found = judge(trial(), hindsight(), CONFIG)
     names = ("p_imprecise_pose", "p_collision", "p_timing", "p_unknown")
-    assert tuple(found.columns[n] for n in names) == (0.1, 0.3, 0.1, 0.5)
-    assert (found.columns["failure_class"], found.columns["sub_cause"]) == ("unknown", None)
-    assert (found.columns["blame"], found.columns["p_blame"]) == ("unknown", None)
-    assert found.columns["belief_source"] is None
-    assert str(found.columns["evidence"]).endswith("the cause is unknown: it is not known")
+    assert tuple(getattr(found.row, n) for n in names) == (0.1, 0.3, 0.1, 0.5)
+    assert (found.row.failure_class, found.row.sub_cause) == ("unknown", None)
+    assert (found.row.blame, found.row.p_blame) == ("unknown", None)
+    assert found.row.belief_source is None
+    assert found.row.evidence.endswith("the cause is unknown: it is not known")
     assert found.decisive_ns == CLOSE
     assert found.notes == (
         "a note of hindsight",
@@ -387,10 +381,10 @@ def test_the_link_that_most_draws_name(
     stages: Replace, links: tuple[str | None, ...], expected: str
 ) -> None:
     """Catches the first draw's link, and a choice that depends on the order of a set."""
-    stages(cause=cause(*(draw("collision", "displaced", link) for link in links)))
+    stages(decision=decided(*(draw("collision", "displaced", link) for link in links)))
     found = judge(trial(), hindsight(), CONFIG)
     assert found.link == expected
-    assert f"{expected} pushed the object" in str(found.columns["evidence"])
+    assert f"{expected} pushed the object" in found.row.evidence
 
 
 # the decisive moment
@@ -408,7 +402,7 @@ def test_the_decisive_moment_of_a_collision(
     stages: Replace, seen: dict[str, int], expected_ns: int
 ) -> None:
     """Catches the close shown where the push was seen."""
-    stages(cause=cause(draw("collision", "displaced")))
+    stages(decision=decided(draw("collision", "displaced")))
     assert judge(trial(), hindsight(**seen), CONFIG).decisive_ns == expected_ns
 
 
@@ -424,7 +418,7 @@ def test_the_decisive_moment_of_a_collision(
 )
 def test_the_decisive_moment_of_the_other_classes(
     stages: Replace,
-    given: tuple[FailureClass, SubCause],
+    given: tuple[FailureClass, str],
     shift_s: float | None,
     close_ns: int | None,
     expected_ns: int | None,
@@ -432,7 +426,7 @@ def test_the_decisive_moment_of_the_other_classes(
     """Catches a push shown for another class, and a close that should have been of a hand that
     closed.
     """
-    stages(cause=cause(draw(*given), shift_s=shift_s), ended=LEFT if close_ns else RAN_OUT)
+    stages(decision=decided(draw(*given), shift_s=shift_s), ended=LEFT if close_ns else RAN_OUT)
     found = judge(trial(close_ns), hindsight(pushed_ns=START + SECOND), CONFIG)
     assert found.decisive_ns == expected_ns
 
@@ -440,17 +434,20 @@ def test_the_decisive_moment_of_the_other_classes(
 # notes
 
 
+NOT_RECORDED = Unknown("beliefs not recorded")
+
+
 def notes(
     stages: Replace,
     blame: Blame,
-    beliefs: Beliefs | str = "beliefs not recorded",
+    beliefs: Beliefs | Unknown = NOT_RECORDED,
     held: bool = False,
 ) -> list[str]:
     """The notes about the blame and the scene: without that of hindsight and that of the
     instrument.
     """
-    samples = [draw("imprecise_pose", "missed") for _ in range(7)]
-    stages(cause=cause(*samples), blame=blame, scene=SimpleNamespace(beliefs=beliefs, held=held))
+    draws = [draw("imprecise_pose", "missed") for _ in range(7)]
+    stages(decision=decided(*draws), blame=blame, scene=SimpleNamespace(beliefs=beliefs, held=held))
     first, *some, last = judge(trial(), hindsight(), CONFIG).notes
     assert first == "a note of hindsight"
     assert last == "verdict: twin, 7 draws, 75% reproduce the failure"
@@ -477,7 +474,7 @@ def test_notes_of_execution_and_of_no_part(stages: Replace) -> None:
         )
         == []
     )
-    some = Blame("unknown", 0.0, {"servo": 0.03}, "recorded", "no part stands out")
+    some = Blame(Unknown("no part stands out"), 0.0, {"servo": 0.03}, "recorded")
     assert notes(stages, some) == ["blame unknown: no part stands out"]
 
 

@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 from benchmarks.verdict import scene_from
 from dgeval.config import Config
+from dgeval.failure_rule import CLASSES, Unknown, Verdict
 from dgeval.geometry import Array, increment, transform
 from dgeval.hindsight.second_pass import _priors, look_back
 from dgeval.hindsight.smoothing import Path as ObjectPath
@@ -29,9 +30,9 @@ from dgeval.simulation.scenario import Plan, load_scenario
 from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.verdict import outcome
 from dgeval.verdict.beliefs import Beliefs, beliefs_of, gains_of, growth, laid_on, steady
-from dgeval.verdict.blame import blame_of
-from dgeval.verdict.decide import CLASSES, Cause, cause_of
-from dgeval.verdict.evidence import of_hand
+from dgeval.verdict.decide import Decision, blame_of
+from dgeval.verdict.draws import decide_scene
+from dgeval.verdict.evidence import Scene, of_hand
 from dgeval.verdict.twin import Twin
 from dgeval.worlds.objects import ObjectModel, surface_points, ten_objects
 from dgeval.worlds.shape import solid_from_cloud
@@ -169,9 +170,20 @@ def test_cloud_without_volume_is_refused() -> None:
 # the twin on constructed cases
 
 
-def cause(
+def decided(scene: Scene, draws: int = 3, method: str = "twin") -> Decision:
+    """The decision of a scene whose cloud makes a solid."""
+    decision = decide_scene(scene, method, draws, 0, 0.0)
+    assert isinstance(decision, Decision)
+    return decision
+
+
+def class_of(decision: Decision) -> str:
+    return "unknown" if isinstance(decision.answer, Unknown) else decision.answer.failure_class
+
+
+def verdict_on(
     tmp_path: Path, faults: Faults, thing: str = "sugar_box", method: str = "twin"
-) -> tuple[str | None, Cause]:
+) -> tuple[str | None, Decision]:
     """What is true of a constructed trial, and what the verdict says of it."""
     from dgeval.simulation.truth import prove
 
@@ -179,21 +191,23 @@ def cause(
     run, world = simulate(campaign, Plan("t", thing, 0.08, 0.47, -0.2, 0.3, -0.2, faults, 5, 0))
     assert run.finish is None or not run.finish.success
     truth = prove(run, world, near=False)
-    return truth.failure_class, cause_of(scene_from(run, world, 7), method, 3, 0, 0.0)
+    return truth.failure_class, decided(scene_from(run, world, 7), method=method)
 
 
 def test_twin_finds_a_close_that_came_too_early(tmp_path: Path) -> None:
-    true, said = cause(tmp_path, Faults(close_shift=-2.0), "mug")
+    true, decision = verdict_on(tmp_path, Faults(close_shift=-2.0), "mug")
     assert true == "timing"
+    said = decision.answer
+    assert isinstance(said, Verdict)
     assert (said.failure_class, said.sub_cause) == ("timing", "early")
     assert said.shift_s is not None
     assert said.shift_s > 0
 
 
 def test_twin_finds_an_offset_that_no_close_time_saves(tmp_path: Path) -> None:
-    true, said = cause(tmp_path, Faults(grasp_offset=(0, 0.05, 0, 0, 0, 0)), "gelatin_box")
+    true, said = verdict_on(tmp_path, Faults(grasp_offset=(0, 0.05, 0, 0, 0, 0)), "gelatin_box")
     assert true == "imprecise_pose"
-    assert said.failure_class == "imprecise_pose"
+    assert class_of(said) == "imprecise_pose"
 
 
 def test_an_error_of_the_path_far_from_the_hand_is_no_push(tmp_path: Path) -> None:
@@ -204,13 +218,13 @@ def test_an_error_of_the_path_far_from_the_hand_is_no_push(tmp_path: Path) -> No
     seen = scene.seen.copy()
     early = np.arange(len(seen)) < 20
     seen[early, :3, 3] += [0.03, 0.0, 0.0]
-    for sample in cause_of(replace(scene, seen=seen), "twin", 1, 0, 0.0).samples:
-        assert sample.facts.displacement_m < 0.005
+    for draw in decided(replace(scene, seen=seen), draws=1).draws.asked:
+        assert draw.facts.displacement_m < 0.005
 
 
 def test_probabilities_are_shares(tmp_path: Path) -> None:
     for method in ("twin", "geometry"):
-        _, said = cause(tmp_path, Faults(close_shift=-2.0), method=method)
+        _, said = verdict_on(tmp_path, Faults(close_shift=-2.0), method=method)
         assert abs(sum(said.probabilities) - 1) < 1e-9
         assert min(said.probabilities) >= 0
 
@@ -219,9 +233,9 @@ def test_a_place_that_is_not_known_gives_no_class(tmp_path: Path) -> None:
     campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
     plan = Plan("t", "sugar_box", 0.08, 0.47, -0.2, 0.3, -0.2, Faults(close_shift=-2.0), 5, 0)
     run, world = simulate(campaign, plan)
-    said = cause_of(replace(scene_from(run, world, 7), sd_m=0.05), "twin", 3, 0, 0.0)
-    assert said.failure_class == "unknown"
-    assert "50 mm" in str(said.why_unknown)
+    said = decided(replace(scene_from(run, world, 7), sd_m=0.05)).answer
+    assert isinstance(said, Unknown)
+    assert "50 mm" in said.reason
 
 
 def test_a_part_that_put_the_palm_off_is_blamed(tmp_path: Path) -> None:
@@ -237,14 +251,15 @@ def test_a_part_that_put_the_palm_off_is_blamed(tmp_path: Path) -> None:
     believed = scene.beliefs
     assert isinstance(believed, Beliefs)
     assert float(np.linalg.norm(believed.errors["tracking"])) == pytest.approx(0.05, abs=0.005)
-    cause = cause_of(scene, "twin", 3, 0, 0.0)
-    assert {s.restored["tracking"] for s in cause.samples} == {True}
-    assert blame_of(cause, believed).term == "tracking"
+    decision = decided(scene)
+    assert {d.restored["tracking"] for d in decision.draws.asked} == {True}
+    assert blame_of(decision, believed).part == "tracking"
     # the sign matters: displaced the other way the palm is farther off than before, and nothing is put right
     turned = replace(believed, errors={**believed.errors, "tracking": -believed.errors["tracking"]})
-    cause = cause_of(replace(scene, beliefs=turned), "twin", 3, 0, 0.0)
-    assert not any(s.restored["tracking"] for s in cause.samples)
-    assert blame_of(cause, "beliefs not recorded").why_unknown == "beliefs not recorded"
+    decision = decided(replace(scene, beliefs=turned))
+    assert not any(d.restored["tracking"] for d in decision.draws.asked)
+    not_recorded = Unknown("beliefs not recorded")
+    assert blame_of(decision, not_recorded).part == Unknown("beliefs not recorded")
 
 
 @pytest.mark.parametrize(
@@ -268,8 +283,8 @@ def test_a_hand_that_never_closed_has_a_part_to_blame(
     )
     assert run.close is None
     scene = scene_from(run, world, 7)
-    blamed = blame_of(cause_of(scene, "twin", 3, 0, 0.0), scene.beliefs)
-    assert blamed.term == part, (blamed, scene.beliefs)
+    blamed = blame_of(decided(scene), scene.beliefs)
+    assert blamed.part == part, (blamed, scene.beliefs)
 
 
 def test_gains_of_a_servo_and_growth_of_an_error() -> None:
@@ -533,8 +548,8 @@ def test_a_failed_handover_has_a_cause(tmp_path: Path) -> None:
     assert not run.finish.success
     scene = scene_from(run, world, 7)
     assert scene.held
-    said = cause_of(scene, "twin", 3, 0, 0.0)
-    assert said.failure_class == prove(run, world, near=False).failure_class
+    said = decided(scene)
+    assert class_of(said) == prove(run, world, near=False).failure_class
 
 
 # whole recordings

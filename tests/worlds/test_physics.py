@@ -17,6 +17,7 @@ from dgeval.robots import diana7 as arm
 from dgeval.robots import dlr_hit_hand as hand
 from dgeval.robots.description import Description, load_description
 from dgeval.robots.diana7 import LOWER, MAX_SPEED, UPPER, ArmKinematics
+from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.robots.urdf import robot_urdf
 from dgeval.worlds.objects import (
     ObjectModel,
@@ -93,12 +94,12 @@ def run(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> np.ndarra
 
 @cache
 def arm_scene() -> mujoco.MjModel:
-    return build(TEN["rubiks_cube"])
+    return build(TEN["rubiks_cube"], gripper=FIVE_FINGERS)
 
 
 @cache
 def hand_scene() -> mujoco.MjModel:
-    return build(TEN["rubiks_cube"], 0.1, robot="hand")
+    return build(TEN["rubiks_cube"], 0.1, robot="hand", gripper=FIVE_FINGERS)
 
 
 def addresses(model: mujoco.MjModel, names: tuple[str, ...]) -> np.ndarray:
@@ -111,12 +112,12 @@ def limits(model: mujoco.MjModel, names: tuple[str, ...]) -> tuple[np.ndarray, n
 
 @cache
 def urdf() -> pin.Model:
-    return pin.buildModelFromXML(robot_urdf(np.eye(4)))
+    return pin.buildModelFromXML(robot_urdf(np.eye(4), FIVE_FINGERS))
 
 
 @cache
 def description() -> Description:
-    return load_description(robot_urdf(np.eye(4)), "robot", (), 0.01)
+    return load_description(robot_urdf(np.eye(4), FIVE_FINGERS), "robot", (), 0.01)
 
 
 def configurations(n: int, seed: int = 0) -> np.ndarray:
@@ -299,7 +300,7 @@ def test_solid_of_the_distal_link_ends_at_the_fingertip() -> None:
 
 def test_palm_and_jacobian_against_pinocchio() -> None:
     """Catches a joint's origin, axis or angle convention in the arm alone or in its URDF."""
-    kinematics = ArmKinematics()
+    kinematics = ArmKinematics(FIVE_FINGERS.T_hand_palm)
     for q in configurations(20):
         model, data, columns = pinocchio_frames(q)
         assert np.abs(frame(model, data, "palm_link") - kinematics.palm(q[:7])).max() < 1e-6
@@ -397,7 +398,9 @@ def test_camera_in_the_urdf_is_where_it_was_calibrated() -> None:
     """Catches an inverted hand-eye transform."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_rotvec([0.3, -0.7, 1.1]).as_matrix(), (0.11, -0.04, -0.06)
-    found = load_description(robot_urdf(T), "robot", (), 0.01).joints["camera_color_optical_frame"]
+    found = load_description(robot_urdf(T, FIVE_FINGERS), "robot", (), 0.01).joints[
+        "camera_color_optical_frame"
+    ]
     assert found.parent == "hand_base"
     assert np.abs(found.at(0.0) - T).max() < 1e-8
 
@@ -447,7 +450,7 @@ def test_description_has_the_solids_that_the_physics_has() -> None:
 
 def test_solve_brings_the_palm_to_poses_it_can_reach() -> None:
     """Catches an error in the wrong frame or a step the wrong way round; from one posture over the belt."""
-    kinematics, rng = ArmKinematics(), np.random.default_rng(0)
+    kinematics, rng = ArmKinematics(FIVE_FINGERS.T_hand_palm), np.random.default_rng(0)
     for _ in range(20):
         goal = kinematics.palm(HOME + rng.uniform(-0.5, 0.5, 7))
         q, residual = kinematics.solve(goal, HOME)
@@ -460,14 +463,14 @@ def test_solve_brings_the_palm_to_poses_it_can_reach() -> None:
 
 def test_solve_owns_up_to_a_pose_out_of_reach() -> None:
     """Catches a residual in another unit: a pose 3 m away leaves at least 1.5 m."""
-    goal = ArmKinematics().palm(HOME)
+    goal = ArmKinematics(FIVE_FINGERS.T_hand_palm).palm(HOME)
     goal[0, 3] = 3.0
-    assert ArmKinematics().solve(goal, HOME, 50)[1] > 1.5
+    assert ArmKinematics(FIVE_FINGERS.T_hand_palm).solve(goal, HOME, 50)[1] > 1.5
 
 
 def test_joint_velocity_gives_the_twist_demanded() -> None:
     """Catches angular and linear parts swapped, or axes of the palm in place of the base; by differences of palm()."""
-    kinematics, rng = ArmKinematics(), np.random.default_rng(3)
+    kinematics, rng = ArmKinematics(FIVE_FINGERS.T_hand_palm), np.random.default_rng(3)
     for _ in range(30):
         q = HOME + rng.uniform(-0.4, 0.4, 7)
         twist = rng.uniform(-1, 1, 6) * [0.1, 0.1, 0.1, 0.3, 0.3, 0.3]
@@ -479,7 +482,7 @@ def test_joint_velocity_gives_the_twist_demanded() -> None:
 
 def test_joint_velocity_keeps_speed_limits_and_direction() -> None:
     """Catches a clipped joint, which bends the path, in place of a slower motion; and limits in another order."""
-    kinematics, rng = ArmKinematics(), np.random.default_rng(4)
+    kinematics, rng = ArmKinematics(FIVE_FINGERS.T_hand_palm), np.random.default_rng(4)
     fastest = np.zeros(7)
     for _ in range(60):
         q = np.clip(HOME + rng.uniform(-1, 1, 7), LOWER + 0.1, UPPER - 0.1)
@@ -496,7 +499,7 @@ def test_joint_velocity_keeps_speed_limits_and_direction() -> None:
 @pytest.mark.parametrize("joint", range(7))
 def test_joints_at_a_limit_do_not_move_further_out(joint: int) -> None:
     """Catches a limit's sign, and one joint's limit applied to another."""
-    kinematics, rng = ArmKinematics(), np.random.default_rng(5)
+    kinematics, rng = ArmKinematics(FIVE_FINGERS.T_hand_palm), np.random.default_rng(5)
     stopped = 0
     for bound, outward in ((LOWER, -1), (UPPER, 1)):
         q = HOME.copy()
@@ -662,7 +665,7 @@ def test_two_builds_and_a_restored_state_run_bit_equal() -> None:
     """Catches random textures that reach the physics, a warm start left out of the state, and an unset seed."""
     finals, touching = [], 0
     for _ in range(2):
-        model = build(TEN["rubiks_cube"], 0.1, robot="hand")
+        model = build(TEN["rubiks_cube"], 0.1, robot="hand", gripper=FIVE_FINGERS)
         data = closing(model)
         for k in range(300):
             if k == 120:

@@ -19,7 +19,7 @@ from dgeval.perception.self_filter import hand_pixels
 from dgeval.planning.vfas.motion_field import MotionField, dis_flow
 from dgeval.planning.vfas.selection import GraspJudge, Selected, Vfas, perturbed
 from dgeval.recording.frame import Frame
-from dgeval.robots.parallel_jaw import OPENING
+from dgeval.robots.hand import hand_for
 
 FAR = 0.8  # m; what lies behind is no scene to grasp from
 MOST_PIXELS = 40_000
@@ -68,6 +68,7 @@ def seed_from_cloud(
 
     Stands in for Contact-GraspNet where no seed is given and `vfas.contact_graspnet` names no weights.
     """
+    opening = hand_for("vfas").opening or 0.0
     rng = generator(seed, "vfas seed", 0)
     poses = []
     for _ in range(SAMPLED):
@@ -85,7 +86,7 @@ def seed_from_cloud(
             & (np.abs(local[:, 2]) < 0.02)
             & (np.abs(local[:, 0]) < 0.07)
         ]
-        if len(slab) > 5 and np.ptp(slab[:, 0]) < OPENING:
+        if len(slab) > 5 and np.ptp(slab[:, 0]) < opening:
             T[:3, 3] += R @ [
                 float(slab[:, 0].min() + slab[:, 0].max()) / 2,
                 0,

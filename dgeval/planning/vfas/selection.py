@@ -19,7 +19,7 @@ from dgeval.geometry import Array, rotation_angle
 from dgeval.networks.point_sets import crop
 from dgeval.networks.pointnet2 import CROP_HIGH, CROP_LOW, GraspEvaluator
 from dgeval.planning.vfas.one_euro import PoseFilter
-from dgeval.robots.parallel_jaw import link_points
+from dgeval.robots.hand import hand_for
 
 REACH = 0.20  # m about the seed, of the points that any candidate's crop may hold
 MOST_POINTS = 12_000
@@ -60,12 +60,19 @@ class Scores:
     spread: Array
 
 
+def gripper_points(n: int, rng: np.random.Generator) -> Array:
+    """Points (n, 3) m on the links of VFAS-Grasp's open gripper, frame of grasps (its section III-B)."""
+    points = hand_for("vfas").link_points
+    assert points is not None
+    return points(n, rng)
+
+
 class GraspJudge:
     """Equation 1: quality by the network, its spread over noisy copies, and distance from the seed."""
 
     def __init__(self, network: GraspEvaluator, config: VfasConfig) -> None:
         self._network, self._config = network, config
-        links = link_points(network.sizes.gripper, generator(0, "gripper points", 0))
+        links = gripper_points(network.sizes.gripper, generator(0, "gripper points", 0))
         self._gripper = torch.from_numpy(links.astype(np.float32))[None]
 
     def quality(self, clouds: Sequence[Array], T_base_grasp: Array) -> Array:

@@ -1,0 +1,149 @@
+"""Catches: a hand that lacks what the rest of dgeval asks of it, or a place outside robots/ that knows a finger."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import mujoco
+import numpy as np
+import pytest
+from dgeval.robots import hand as interface
+from dgeval.robots.description import load_description
+from dgeval.robots.hand import Hand, hand_named, hand_of, hands
+from dgeval.robots.urdf import robot_urdf
+from dgeval.worlds.objects import ten_objects
+from dgeval.worlds.scene import build
+
+PACKAGE = Path(interface.__file__).parents[1]
+FINGERS = re.compile(
+    r"\b(thumb|index|middle|ring|little|left_jaw|right_jaw|left|right)(_\d|_jaw)\b"
+)
+EACH = pytest.mark.parametrize("hand", hands(), ids=lambda h: h.name)
+
+
+def test_there_are_two_hands() -> None:
+    """Catches a file that is not found in the folder."""
+    assert [h.name for h in hands()] == ["dlr_hit_hand", "parallel_jaw"]
+
+
+@EACH
+def test_a_hand_is_complete(hand: Hand) -> None:
+    """Catches joints, drives, limits and solids that do not fit each other."""
+    k = len(hand.drives)
+    assert set(hand.drives) <= set(hand.joints)
+    assert set(hand.grip.joints) <= set(hand.joints)
+    assert hand.open.shape == (k,)
+    assert hand.drive_limits.shape == (2, k)
+    assert (hand.drive_limits[0] <= hand.open).all()
+    assert (hand.open <= hand.drive_limits[1]).all()
+    assert hand.positions(hand.open).shape == (len(hand.joints),)
+    assert np.allclose(hand.targets(0.0, hand.open), hand.open)
+    assert hand.random_preshape(np.random.default_rng(0)).shape == (k,)
+    solids = hand.solids(np.tile(hand.open, (3, 1)))
+    assert solids.axes.shape[0] == 3
+    assert solids.axes.shape[2:] == (2, 3)
+    assert hand_named(hand.name) is hand
+    assert hand_of(hand.joints) is hand
+    assert hand_of(hand.drives[:-1]) is None
+
+
+@EACH
+def test_physics_and_description_of_a_hand_agree(hand: Hand) -> None:
+    """Catches a joint that is missing, or stands elsewhere, in the description or in the physics."""
+    model = build(ten_objects()["apple"], robot="hand", gripper=hand)
+    for joint in hand.joints:
+        assert model.joint(joint).name == joint
+    assert [model.actuator(d).name for d in hand.drives] == list(hand.drives)
+    description = load_description(robot_urdf(hand.T_hand_camera, hand), hand.name, (), 0.01)
+    assert {j.name for j in description.joints.values()} >= set(hand.joints)
+    solid = [model.geom(g) for g in range(model.ngeom)]
+    fingers = {g.name.split("_")[0] for g in solid if g.contype[0] == 2}
+    assert set(hand.fingers) <= fingers
+
+
+@EACH
+def test_a_closing_hand_gets_closed(hand: Hand) -> None:
+    """Catches a sign: the drives move monotonically towards closed."""
+    states = np.array([hand.targets(t, hand.open) for t in np.linspace(0, 1, 21)])
+    steps = np.diff(states, axis=0)
+    assert ((steps >= -1e-12).all(axis=0) | (steps <= 1e-12).all(axis=0)).all()
+    assert np.abs(states[-1] - states[0]).max() > 0.01
+
+
+def test_nothing_else_knows_a_finger() -> None:
+    """Catches a finger's name, or a hand's file, in the code of another package."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if path.parent.name == "robots":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert " " in node.value or not FINGERS.search(node.value), (path, node.value)
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
+                "dgeval.robots."
+            ):
+                allowed = ("hand", "mjcf", "urdf", "diana7", "description")
+                assert node.module.split(".")[2] in allowed, (path, node.module)
+
+
+THIRD = '''
+"""A claw of two fingers that turn."""
+from dataclasses import replace
+from dgeval.robots.parallel_jaw import HAND as JAW
+
+HAND = replace(JAW, name="claw", drives=("claw_left", "claw_right"), joints=("claw_left", "claw_right"))
+'''
+
+
+@pytest.fixture
+def forget() -> object:
+    hands.cache_clear()
+    yield
+    hands.cache_clear()
+
+
+@pytest.mark.usefixtures("forget")
+def test_a_third_hand_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a list of hands anywhere."""
+    import dgeval.robots
+
+    (tmp_path / "claw.py").write_text(THIRD)
+    monkeypatch.setattr(dgeval.robots, "__path__", [*dgeval.robots.__path__, str(tmp_path)])
+    assert [h.name for h in hands()] == ["claw", "dlr_hit_hand", "parallel_jaw"]
+    found = hand_of({"claw_left", "claw_right", "arm_1"})
+    assert found is not None
+    assert found.name == "claw"
+    sys.modules.pop("dgeval.robots.claw")
+
+
+@pytest.mark.usefixtures("forget")
+def test_a_third_hand_comes_from_an_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a package that is installed and not found."""
+    module = ModuleType("claw")
+    exec(THIRD, module.__dict__)
+
+    class Entry:
+        def load(self) -> Hand:
+            return module.HAND  # type: ignore[no-any-return]
+
+    monkeypatch.setattr(interface, "entry_points", lambda group: [Entry()])
+    assert hand_named("claw").drives == ("claw_left", "claw_right")
+
+
+def test_a_hand_that_is_not_there_is_named() -> None:
+    with pytest.raises(KeyError, match="dlr_hit_hand, parallel_jaw"):
+        hand_named("claw")
+
+
+def test_geoms_of_a_hand_meet_objects_alone() -> None:
+    """Catches a hand whose links push each other or that passes through the object."""
+    for hand in hands():
+        model = build(ten_objects()["apple"], robot="hand", gripper=hand)
+        ours = [g for g in range(model.ngeom) if model.geom(g).contype[0] == 2]
+        assert ours
+        for g in ours:
+            assert model.geom_conaffinity[g] == 1
+        assert mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "hand_base") > 0
