@@ -17,11 +17,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dgeval.config import Config
+from dgeval.config import ReviewConfig
 from dgeval.geometry import Array, transform
 from dgeval.hindsight.moments import nearest_link
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.perception.self_filter import Hand
+from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step
 from dgeval.robots.description import LinkShape
@@ -60,8 +61,9 @@ class ReviewWriter:
     `close` adds hindsight and blueprint, and moves the file to its final path.
     """
 
-    def __init__(self, path: Path, trial: Trial, config: Config) -> None:
-        self._path, self._trial, self._config = path, trial, config
+    def __init__(self, path: Path, trial: Trial, config: ReviewConfig) -> None:
+        self._path, self._robot, self._config = path, trial.robot, config
+        self._close_ns = trial.event_ns(CLOSE_EVENT)
         self._start_ns = trial.pairs[0][0]
         self._rec = rr.RecordingStream(
             "dgeval",
@@ -125,7 +127,7 @@ class ReviewWriter:
                 or frame.index % 30 == 0
             ):
                 self._model_size = len(step.model.points)
-                every = max(1, self._model_size // self._config.review.cloud_points)
+                every = max(1, self._model_size // self._config.cloud_points)
                 rec.log(
                     "world/object/model",
                     rr.Points3D(
@@ -143,8 +145,7 @@ class ReviewWriter:
         if row.get("hand_px") is not None:
             self._log_axes("world/palm", row, "hand", HAND)
         self._log_series(row)
-        close_ns = self._trial.event_ns("close")
-        if close_ns is None or frame.t_ns <= close_ns:
+        if self._close_ns is None or frame.t_ns <= self._close_ns:
             T_base_model = (
                 None if step.T_camera_model is None else T_base_camera @ step.T_camera_model
             )
@@ -165,14 +166,14 @@ class ReviewWriter:
         image = "world/camera/colour"
         data = frame.colour_file
         if data is None:
-            quality = [cv2.IMWRITE_JPEG_QUALITY, self._config.review.jpeg_quality]
+            quality = [cv2.IMWRITE_JPEG_QUALITY, self._config.jpeg_quality]
             data = cv2.imencode(".jpg", frame.colour[:, :, ::-1], quality)[1].tobytes()
         encoded = rr.EncodedImage(
             contents=data, media_type="image/png" if data[:4] == b"\x89PNG" else "image/jpeg"
         )
         rec.log(image, encoded)
         self._image_bytes += len(data)
-        if frame.index % self._config.review.depth_every == 0:
+        if frame.index % self._config.depth_every == 0:
             # half size: depth is here for display only
             small = np.clip(frame.depth[::2, ::2] * 1000, 0, 65535).astype(np.uint16)
             png = cv2.imencode(".png", small)[1].tobytes()
@@ -303,14 +304,14 @@ class ReviewWriter:
         rec.reset_time()
         if decisive_ns is None:
             return
-        step = max(1, len(hindsight.points) // self._config.review.cloud_points)
+        step = max(1, len(hindsight.points) // self._config.cloud_points)
         points = transform(hindsight.path.at(decisive_ns), hindsight.points[::step])
         rec.log(
             "world/hindsight/object",
             rr.Points3D(points.astype(np.float32), radii=0.001, colors=OFFENDING),
             static=True,
         )
-        near = nearest_link(self._trial, decisive_ns, points, link)
+        near = nearest_link(self._robot, decisive_ns, points, link)
         if near is not None:
             name, distance, a, b = near
             label = f"{name}: {distance * 1000:.0f} mm"

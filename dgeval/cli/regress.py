@@ -87,16 +87,15 @@ def regress(
     specs = find_trials([dataset], config.roles.events)
     name = dataset.stem
 
-    def replay() -> int:
+    def replay(hashes: dict[str, str] | None = None) -> int:
         def on_result(result: Any) -> None:
             for message in result.messages:
                 typer.echo(f"{result.id}: {message}", err=True)
 
         # force=True: a finished trial in `out` may come from other code of the same version, and
         # such a change of code is what the gate is there to find
-        return finish_run(
-            out, replay_trials(specs, config, out, None, True, jobs, on_result), config
-        )
+        results = replay_trials(specs, config, out, None, True, jobs, on_result, hashes=hashes)
+        return finish_run(out, results, config)
 
     if update:
         _refuse_uncommitted()
@@ -116,8 +115,9 @@ def regress(
     with tempfile.TemporaryDirectory() as folder:
         about, before = read_baseline(baseline, Path(folder))
         check_dataset(about, name, specs, baseline)
-        check_recordings(about, {s.id: sha256_of(s.recording) for s in specs}, baseline)
-        code = replay()
+        hashes = {s.id: sha256_of(s.recording) for s in specs}
+        check_recordings(about, hashes, baseline)
+        code = replay(hashes)
         c, passed, message = gate(before, read_run(out), fail_on == "inconclusive")
         for field, a, b in c.config:
             typer.echo(f"config differs from the baseline's: {field}: {a} -> {b}", err=True)

@@ -127,9 +127,17 @@ def _check_determinism(specs: Any, config: Any, jobs: int, results: Any) -> None
     from dgeval.runs.workers import replay_trials
     from dgeval.schema import STAGES
 
+    hashes = {r.id: r.sha256 for r in results if r.sha256 is not None}
     with tempfile.TemporaryDirectory() as folder:
         repeated = replay_trials(
-            specs, config, Path(folder), None, True, jobs, on_result=lambda _: None
+            specs,
+            config,
+            Path(folder),
+            None,
+            True,
+            jobs,
+            on_result=lambda _: None,
+            hashes=hashes,
         )
     for first, second in zip(results, repeated, strict=True):
         if (first.row is None) != (second.row is None):

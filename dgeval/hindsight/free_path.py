@@ -8,7 +8,7 @@ from dgeval.geometry import Array, rotation_angle, transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.smoothing import Path, Sighting, smooth
 from dgeval.perception.types import Model
-from dgeval.recording.trials import Trial
+from dgeval.recording.robot import RobotStates
 
 FIRST_S = 0.5  # from which the path is begun
 
@@ -22,7 +22,11 @@ PUSHING_M = 0.030  # m; hand to the sighted object, when it leaves its path
 
 
 def free_path(
-    trial: Trial, sightings: list[Sighting], model: Model, centroid: Array, end_ns: int
+    robot: RobotStates,
+    sightings: list[Sighting],
+    model: Model,
+    centroid: Array,
+    end_ns: int,
 ) -> tuple[Path, int | None]:
     """The undisturbed path, and when the object left it with the hand at it (the change point), or None.
 
@@ -52,7 +56,7 @@ def free_path(
         if len(off) == OFF_PATH_COUNT:
             step = max(1, len(model.points) // 400)
             near = [
-                hand_distance(trial, o.t_ns, transform(o.T_base_model, model.points[::step]))
+                hand_distance(robot, o.t_ns, transform(o.T_base_model, model.points[::step]))
                 for o in off
             ]
             if any(n is not None and n[0] < PUSHING_M for n in near):

@@ -12,7 +12,7 @@ from dgeval.hindsight.smoothing import Path, Sighting
 from dgeval.hindsight.surface import Seen
 from dgeval.perception.self_filter import signed_distance
 from dgeval.perception.types import Model
-from dgeval.recording.trials import Trial
+from dgeval.recording.robot import RobotStates
 
 KnownBy = Literal["path", "registration", "depth", "colour", "hand", "support"]
 
@@ -41,18 +41,18 @@ class Moment:
     link: str | None
 
 
-def hand_distance(trial: Trial, t_ns: int, points_base: Array) -> tuple[float, str] | None:
+def hand_distance(robot: RobotStates, t_ns: int, points_base: Array) -> tuple[float, str] | None:
     """Least signed distance m of the recorded hand to points (n, 3), base frame, and the link; None without hand geometry."""
-    near = nearest_link(trial, t_ns, points_base, None)
+    near = nearest_link(robot, t_ns, points_base, None)
     return None if near is None else (near[1], near[0])
 
 
 def nearest_link(
-    trial: Trial, t_ns: int, points_base: Array, link: str | None
+    robot: RobotStates, t_ns: int, points_base: Array, link: str | None
 ) -> tuple[str, float, Array, Array] | None:
     """Nearest link (or how near the named one is): name, signed distance m, its middle, nearest point (base frame)."""
-    shapes = trial.robot.hand_shapes(t_ns)
-    T_base_camera = trial.robot.T_base_camera(t_ns)
+    shapes = robot.hand_shapes(t_ns)
+    T_base_camera = robot.T_base_camera(t_ns)
     if shapes is None or T_base_camera is None:
         return None
     best: tuple[str, float, Array, Array] | None = None
@@ -76,7 +76,7 @@ def nearest_link(
 
 
 def moments_of(
-    trial: Trial,
+    robot: RobotStates,
     seen: list[Seen],
     path: Path,
     sightings: list[Sighting],
@@ -91,7 +91,7 @@ def moments_of(
     """
     step = max(1, len(model.points) // 400)
     left_ns = end_ns if pushed_ns is None else min(pushed_ns, end_ns)
-    in_hand = _in_hand(trial, sightings, end_ns)
+    in_hand = _in_hand(robot, sightings, end_ns)
     at = {s.t_ns: s for s in sightings}
     out = []
     last: tuple[int, Array] | None = None
@@ -100,7 +100,7 @@ def moments_of(
             continue
         by: KnownBy = "path"
         T, sd = path.at(s.t_ns), None
-        palm = trial.robot.T_base_palm(s.t_ns)
+        palm = robot.T_base_palm(s.t_ns)
         if s.t_ns <= left_ns:
             sd = path.sd_at(s.t_ns)
         elif s.t_ns in at:
@@ -113,18 +113,20 @@ def moments_of(
             T[:3, 3] += path.velocity[-1] * (s.t_ns - last[0]) * 1e-9
         else:
             continue  # closing fingers may have taken it anywhere
-        near = hand_distance(trial, s.t_ns, transform(T, model.points[::step]))
+        near = hand_distance(robot, s.t_ns, transform(T, model.points[::step]))
         out.append(Moment(s.index, s.t_ns, T, by, sd, *(near or (None, None))))
     return tuple(out)
 
 
-def _in_hand(trial: Trial, sightings: list[Sighting], end_ns: int) -> tuple[int, Array] | None:
+def _in_hand(
+    robot: RobotStates, sightings: list[Sighting], end_ns: int
+) -> tuple[int, Array] | None:
     """From when on, and T_palm_model, if the object was seen to move with the palm while that rose; None else."""
-    then = trial.robot.T_base_palm(end_ns)
+    then = robot.T_base_palm(end_ns)
     after = [
         (s, palm)
         for s in sightings
-        if s.t_ns > end_ns and (palm := trial.robot.T_base_palm(s.t_ns)) is not None
+        if s.t_ns > end_ns and (palm := robot.T_base_palm(s.t_ns)) is not None
     ]
     risen = [
         (s, palm)

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from dgeval.config import Config
+from dgeval.config import Config, ObservationConfig, RegistrationConfig
 from dgeval.geometry import Array, invert
 from dgeval.hindsight.free_path import free_path
 from dgeval.hindsight.moments import WINDOW_AFTER_S, WINDOW_BEFORE_S, Moment, moments_of
@@ -26,8 +26,10 @@ from dgeval.perception.plane import Plane
 from dgeval.perception.registration import register
 from dgeval.perception.trackers.model import ModelTracker
 from dgeval.perception.types import Model, Observation
+from dgeval.recording.contract import CLOSE_EVENT, GRASP_TOPIC
 from dgeval.recording.frame import Frame
-from dgeval.recording.trials import GRASP_TOPIC, Trial
+from dgeval.recording.robot import RobotStates
+from dgeval.recording.trials import Trial
 
 GapSided = Literal["none", "one", "two"]
 CONTACT_M = 0.006  # m; a hand this near may be pushing: measured clouds are not more exact
@@ -74,9 +76,9 @@ def look_back(
     if model is None or not accepted:
         return None
     centroid = model.points.mean(axis=0)
-    sightings = _causal(seen, config)
-    end_ns = trial.event_ns("close") or seen[-1].t_ns
-    path, _ = free_path(trial, sightings, model, centroid, end_ns)
+    sightings = _causal(seen, config.observation.min_points)
+    end_ns = trial.event_ns(CLOSE_EVENT) or seen[-1].t_ns
+    path, _ = free_path(trial.robot, sightings, model, centroid, end_ns)
     support = _support(seen)
 
     tracker = (
@@ -84,7 +86,7 @@ def look_back(
     )
     known = {s.t_ns for s in sightings}
     # without a grasp in the log nobody asks for what a second look would add
-    attempt = trial.event_ns("close") is not None or bool(trial.scan.poses.get(GRASP_TOPIC))
+    attempt = trial.event_ns(CLOSE_EVENT) is not None or bool(trial.scan.poses.get(GRASP_TOPIC))
     wanted = {
         s.index: s
         for s in seen
@@ -99,16 +101,26 @@ def look_back(
         here: Frame | None = frame
         while here is not None:
             # found again, it is followed backwards through the frames before, until one where it is not
-            priors = _priors(here.t_ns, path, sightings, trial, end_ns)
-            sighting = _look(here, wanted[here.index], tracker, model, priors, config)
+            priors = _priors(here.t_ns, path, sightings, trial.robot, end_ns)
+            sighting = _look(
+                here,
+                wanted[here.index],
+                tracker,
+                model,
+                priors,
+                config.observation,
+                config.registration,
+            )
             if sighting is None:
                 if here is frame:
                     missed.append(frame)
                 break
             insort(sightings, sighting, key=lambda s: s.t_ns)
             here = missed.pop() if missed and here.t_ns - missed[-1].t_ns < BACKWARD_NS else None
-    path, pushed_ns = free_path(trial, sightings, model, centroid, end_ns)
-    moments = moments_of(trial, seen, path, sightings, model, pushed_ns, end_ns) if attempt else ()
+    path, pushed_ns = free_path(trial.robot, sightings, model, centroid, end_ns)
+    moments = (
+        moments_of(trial.robot, seen, path, sightings, model, pushed_ns, end_ns) if attempt else ()
+    )
     contact = next(
         (
             m
@@ -118,7 +130,7 @@ def look_back(
         None,
     )
     notes = [] if support is not None else ["hindsight: no support plane was seen"]
-    close_ns = trial.event_ns("close")
+    close_ns = trial.event_ns(CLOSE_EVENT)
     gap, sided = blind_gap([s.t_ns for s in sightings], close_ns)
     registered = sum(s.by == "registration" and s.t_ns <= end_ns for s in sightings)
     return Hindsight(
@@ -137,13 +149,13 @@ def look_back(
     )
 
 
-def _causal(seen: list[Seen], config: Config) -> list[Sighting]:
+def _causal(seen: list[Seen], min_points: int) -> list[Sighting]:
     """What the first pass saw, the best word on each frame."""
     out = []
     for s in seen:
         if s.T_camera_model is not None:
             out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_camera_model, "registration", False))
-        elif s.T_tracked is not None and s.n_depth >= config.observation.min_points:
+        elif s.T_tracked is not None and s.n_depth >= min_points:
             out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_tracked, "depth", False))
         elif s.T_tracked is not None and s.n_features >= MIN_COLOUR:
             out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_tracked, "colour", False))
@@ -164,12 +176,12 @@ def _support(seen: list[Seen]) -> Plane | None:
 
 
 def _priors(
-    t_ns: int, path: Path, sightings: list[Sighting], trial: Trial, end_ns: int
+    t_ns: int, path: Path, sightings: list[Sighting], robot: RobotStates, end_ns: int
 ) -> list[Array]:
     """Where the model may be at a time, T_base_model: on its path; in the hand, after the close; where it was seen last
     (forward) or will be seen next (backward), as after a push, moved with what it stands on."""
     out = [path.at(t_ns)]
-    palm, palm_then = trial.robot.T_base_palm(t_ns), trial.robot.T_base_palm(end_ns)
+    palm, palm_then = robot.T_base_palm(t_ns), robot.T_base_palm(end_ns)
     if t_ns > end_ns and palm is not None and palm_then is not None:
         out.append(palm @ invert(palm_then) @ path.at(end_ns))
     at = bisect_left(sightings, t_ns, key=lambda s: s.t_ns)
@@ -190,7 +202,8 @@ def _look(
     tracker: ModelTracker,
     model: Model,
     priors: list[Array],
-    config: Config,
+    observation: ObservationConfig,
+    registration: RegistrationConfig,
 ) -> Sighting | None:
     """The model in one frame, from each place it may be at; depth needs the gate's fitness, colour enough features."""
     T_camera_base = invert(seen.T_base_camera)
@@ -203,10 +216,10 @@ def _look(
         if (
             tracked.mask is not None
             and tracked.window is not None
-            and tracked.mask_area >= config.observation.min_points
+            and tracked.mask_area >= observation.min_points
         ):
             v, u = np.nonzero(tracked.mask)
-            step = max(1, len(v) // config.observation.max_points)
+            step = max(1, len(v) // observation.max_points)
             u, v = u[::step] + tracked.window[0], v[::step] + tracked.window[1]
             z = frame.depth[v, u].astype(np.float64)
             points = frame.camera.backproject(u.astype(float), v.astype(float), z)[z > 0]
@@ -216,9 +229,9 @@ def _look(
                 T,
                 tracked.features,
                 frame.camera,
-                config.registration,
+                registration,
             )
-            if result.reject_reason is None and result.gate_fitness > config.registration.c_a_f:
+            if result.reject_reason is None and result.gate_fitness > registration.c_a_f:
                 return Sighting(
                     frame.t_ns, seen.T_base_camera @ result.T_camera_model, "registration", True
                 )

@@ -28,8 +28,7 @@ from dgeval.planning.recorded_grasps import Choice
 from dgeval.planning.schedule import Delayed
 from dgeval.planning.selection import by_metric, grasp_metric
 from dgeval.recording.frame import Frame
-from dgeval.recording.robot import JointTrack
-from dgeval.recording.trials import Trial
+from dgeval.recording.robot import RobotStates
 
 
 @dataclass(frozen=True)
@@ -49,19 +48,17 @@ class _Drawn:
 class ModelGrasps:
     """Keeps the candidates of the newest accepted frame, and the grasp chosen last."""
 
-    def __init__(self, trial: Trial, config: Config) -> None:
+    def __init__(self, robot: RobotStates, config: Config) -> None:
         self._config = config
         self._networks = networks_of(config.grasps)
         self._coming: Delayed[_Drawn] = Delayed(config.schedule.grasps_latency_s)
         self._kept: tuple[Array, Array] | None = (
             None  # T_model_palm and joints of the grasp chosen last
         )
-        robot = trial.robot
         self._arm: Arm | None = None
         if robot.description is not None and robot.base_frame and robot.palm_frame:
             self._arm = arm_of(robot.description, robot.base_frame, robot.palm_frame)
-        samples = trial.scan.joints.get(trial.roles.hand_joints or "", [])
-        self._joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)
+        self._joints = robot.joints
 
     def choose(
         self,

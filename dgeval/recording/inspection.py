@@ -9,9 +9,10 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.errors import DgevalError
-from dgeval.recording.clocks import clean_stamps, pair, tolerance_ns
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.containers.opening import open_container
+from dgeval.recording.contract import BELIEF_PREFIX, CLOSE_EVENT, LABEL_EVENT, TRUTH_PREFIX
+from dgeval.recording.pairing import pair_images
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import Scan, scan
@@ -40,7 +41,7 @@ def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
         "roles": _roles(found, roles, robot),
         "timing": _timing(found, roles, config),
         "events": [{"t_ns": e.t_ns, "event": e.kind, **e.fields} for e in found.events],
-        "notes": ([] if robot is None else robot.notes) + ([robot_error] if robot_error else []),
+        "notes": [*(() if robot is None else robot.notes), *([robot_error] if robot_error else [])],
     }
     out["answers"] = _answers(out, found, roles, robot)
     return out
@@ -96,10 +97,8 @@ def _roles(found: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, An
         "recorded or configured" if robot is not None and robot.description else None
     )
     out["events"] = "recorded" if found.events else None
-    out["belief"] = (
-        sorted(t for t in found.opened.topics if t.startswith("/dgeval/belief/")) or None
-    )
-    out["truth"] = sorted(t for t in found.opened.topics if t.startswith("/truth/")) or None
+    out["belief"] = sorted(t for t in found.opened.topics if t.startswith(BELIEF_PREFIX)) or None
+    out["truth"] = sorted(t for t in found.opened.topics if t.startswith(TRUTH_PREFIX)) or None
     if roles.passed_over:
         out["passed_over"] = roles.passed_over
     return out
@@ -109,23 +108,23 @@ def _timing(found: Scan, roles: Roles, config: Config) -> dict[str, Any]:
     if roles.colour is None or roles.depth is None:
         return {}
     out: dict[str, Any] = {}
-    stamps = {}
-    for role, topic in (("colour", roles.colour), ("depth", roles.depth)):
-        header, log = found.times[topic].arrays()
-        offset = getattr(config.clock, role).offset_ns
-        stamps[role], _, faults = clean_stamps(header, log, offset, round(config.sync.jump_s * 1e9))
+    pairing = pair_images(found, roles.colour, roles.depth, config)
+    colour_ns, depth_ns, pairs = pairing.colour_ns, pairing.depth_ns, pairing.indices
+    for role, stamps in (("colour", colour_ns), ("depth", depth_ns)):
+        faults = pairing.faults[role]
         out[f"{role}_stamps"] = {
-            "used": len(stamps[role]), "zero": faults.zero, "backward": faults.backward, "duplicate": faults.duplicate,
+            "used": len(stamps),
+            "zero": faults.zero,
+            "backward": faults.backward,
+            "duplicate": faults.duplicate,
             "jump": faults.jump,
-        }  # fmt: skip
-    tolerance = tolerance_ns(stamps["colour"], config.sync)
-    pairs = pair(stamps["colour"], stamps["depth"], tolerance)
-    skew = np.array([int(stamps["depth"][d]) - int(stamps["colour"][c]) for c, d in pairs]) * 1e-9
+        }
+    skew = np.array([int(depth_ns[d]) - int(colour_ns[c]) for c, d in pairs]) * 1e-9
     out.update(
-        tolerance_s=tolerance * 1e-9,
+        tolerance_s=pairing.tolerance_ns * 1e-9,
         pairs=len(pairs),
-        unmatched_colour=len(stamps["colour"]) - len(pairs),
-        unmatched_depth=len(stamps["depth"]) - len(pairs),
+        unmatched_colour=len(colour_ns) - len(pairs),
+        unmatched_depth=len(depth_ns) - len(pairs),
     )
     if len(skew):
         out.update(skew_median_s=float(np.median(skew)), skew_largest_s=float(np.abs(skew).max()))
@@ -159,8 +158,8 @@ def _answers(
     pose = [] if robot is not None and robot.base_frame else ["camera_pose"]
     hand = [] if robot is not None and robot.palm_frame else ["hand_pose"]
     geometry = [] if robot is not None and robot.hand_links else ["hand_joints with a description"]
-    closed = [] if any(e.kind == "close" for e in found.events) else ["a close event"]
-    label = [] if any(e.kind == "label" for e in found.events) else ["a label event"]
+    closed = [] if any(e.kind == CLOSE_EVENT for e in found.events) else ["a close event"]
+    label = [] if any(e.kind == LABEL_EVENT for e in found.events) else ["a label event"]
     belief = [] if out["roles"]["belief"] else ["belief topics"]
     return [
         answer("where is the target in the camera, frame by frame", images),

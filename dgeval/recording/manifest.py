@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from dgeval.config import read_toml, validated
 from dgeval.errors import Place, UndecodableError, UnreadableError, UsageError
 from dgeval.recording.containers.opening import open_container
+from dgeval.recording.contract import EVENTS_TOPIC, TRIAL_END_EVENT, TRIAL_START_EVENT
 
 SUFFIXES = (".mcap", ".bag", ".db3")
 
@@ -109,7 +110,7 @@ def _is_recording(path: Path) -> bool:
 def _of_recording(path: Path, name: str, events_topic: str | None) -> list[TrialSpec]:
     """One trial per trial_start event, else the whole recording."""
     opened = open_container(path)
-    topic = events_topic or "/dgeval/events"
+    topic = events_topic or EVENTS_TOPIC
     starts: list[int] = []
     ends: list[int] = []
     if topic in opened.topics:
@@ -120,8 +121,8 @@ def _of_recording(path: Path, name: str, events_topic: str | None) -> list[Trial
                 event = event_of(opened.decode(message).data, message.log_ns)
             except (ValueError, UndecodableError):
                 continue  # counted as undecodable when the trial is read
-            if event.kind in ("trial_start", "trial_end"):
-                (starts if event.kind == "trial_start" else ends).append(event.t_ns)
+            if event.kind in (TRIAL_START_EVENT, TRIAL_END_EVENT):
+                (starts if event.kind == TRIAL_START_EVENT else ends).append(event.t_ns)
     if not starts:
         return [TrialSpec(name, path)]
     out = []

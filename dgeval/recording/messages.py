@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dgeval.geometry import Array, Intrinsics
+from dgeval.recording.contract import EVENT_KEY, TIME_KEY
 
 IMAGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"})
 TF_TYPE = "tf2_msgs/msg/TFMessage"
@@ -175,11 +176,10 @@ def event_of(text: str, log_ns: int) -> Event:
         value = json.loads(text)
     except RecursionError as error:
         raise ValueError("an event nested too deep") from error
-    if not isinstance(value, dict) or not isinstance(value.get("event"), str):
+    if not isinstance(value, dict) or not isinstance(value.get(EVENT_KEY), str):
         raise ValueError(f"not an event: {text[:80]!r}")
-    t_ns = value.get("t_ns", log_ns)
+    t_ns = value.get(TIME_KEY, log_ns)
     if not isinstance(t_ns, int):
         raise ValueError(f"t_ns of an event is not a whole number: {text[:80]!r}")
-    return Event(
-        t_ns, value["event"], {k: v for k, v in value.items() if k not in ("event", "t_ns")}
-    )
+    fields = {k: v for k, v in value.items() if k not in (EVENT_KEY, TIME_KEY)}
+    return Event(t_ns, value[EVENT_KEY], fields)

@@ -11,6 +11,7 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.errors import Place, UsageError
 from dgeval.geometry import Array, matrix_from_pose
+from dgeval.recording.contract import ROBOT_DESCRIPTION
 from dgeval.recording.messages import JointSample
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
@@ -53,17 +54,18 @@ class JointTrack:
         return (1 - share) * self.values[name][i - 1] + share * self.values[name][i]
 
 
-@dataclass
+@dataclass(frozen=True)
 class RobotStates:
-    """Lookups for one recording. `notes` says what was assumed."""
+    """Poses of camera, palm and hand links over one recording. `notes` says what was assumed."""
 
     tree: TransformTree
     camera_frame: str
     base_frame: str | None
     palm_frame: str | None
     description: Description | None
-    hand_links: list[str]
-    notes: list[str]
+    hand_links: tuple[str, ...]
+    joints: JointTrack
+    notes: tuple[str, ...]
 
     def T_base_camera(self, t_ns: int) -> Array | None:
         if self.base_frame is None:
@@ -103,13 +105,13 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     head = scan.images.get(roles.colour) if roles.colour else None
     camera = config.frames.camera or (head.frame_id if head else "") or "camera"
 
+    joints = JointTrack.of(
+        scan.joints.get(roles.hand_joints or "", []), config.clock.hand_joints.offset_ns
+    )
     description = _description(scan, config)
     if description is not None:
         notes.extend(description.notes)
-        track = JointTrack.of(
-            scan.joints.get(roles.hand_joints or "", []), config.clock.hand_joints.offset_ns
-        )
-        _add_joints(tree, description, track, max_gap_ns)
+        _add_joints(tree, description, joints, max_gap_ns)
     if config.calibration.T_flange_camera is not None:
         if config.calibration.flange is None:
             raise UsageError(
@@ -139,11 +141,11 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     if description is not None and palm is not None and palm in description.shapes:
         links = description.below(_hand_root(description, palm))
         links = [link for link in links if description.shapes.get(link)]
-    return RobotStates(tree, camera, base, palm, description, links, notes)
+    return RobotStates(tree, camera, base, palm, description, tuple(links), joints, tuple(notes))
 
 
 def _description(scan: Scan, config: Config) -> Description | None:
-    text, source = scan.description, f"/robot_description of {scan.opened.path}"
+    text, source = scan.description, f"/{ROBOT_DESCRIPTION} of {scan.opened.path}"
     if config.calibration.description is not None:
         source = config.calibration.description
         try:

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from os.path import commonpath
 
 from dgeval.config import RolesConfig
-from dgeval.errors import Place, UsageError
+from dgeval.errors import Place, UnreadableError, UsageError
+from dgeval.recording.contract import DGEVAL_PREFIX, TRUTH_PREFIX
 from dgeval.recording.images import DEPTH_ENCODINGS
 from dgeval.recording.scan import Scan
 
 COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "mono8", "8UC1"})
-NOT_A_CAMERA = ("/dgeval/", "/truth/", "mask", "debug", "annotated", "detection")
+NOT_A_CAMERA = (DGEVAL_PREFIX, TRUTH_PREFIX, "mask", "debug", "annotated", "detection")
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,24 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
             "hand_pose", [n for n in poses if _has(n, "palm", "hand", "gripper", "tcp", "ee_pose")]
         ),
         passed,
+    )
+
+
+def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
+    """The topics of colour and depth. UnreadableError where one is missing; it lists what is there."""
+    if roles.colour is not None and roles.depth is not None:
+        return roles.colour, roles.depth
+    missing = " and ".join(
+        role for role, topic in (("colour", roles.colour), ("depth", roles.depth)) if topic is None
+    )
+    topics = sorted(scan.opened.topics.values(), key=lambda t: t.name)
+    listed = ", ".join(f"{t.name} ({t.type})" for t in topics) or "nothing"
+    damage = scan.opened.damage
+    lost = f" after damage ({damage[0].what})" if damage else ""
+    raise UnreadableError(
+        f"no {missing} images found{lost} among: {listed}",
+        Place(str(scan.opened.path)),
+        "name it with --set roles.colour=… or roles.depth=…",
     )
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dgeval.errors import Damage, Place, UndecodableError
 from dgeval.geometry import Array
 from dgeval.recording.containers.container import Opened, RawMessage
+from dgeval.recording.contract import EVENTS_TOPIC, ROBOT_DESCRIPTION, SCORE_TOPIC
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import (
     IMAGE_TYPES,
@@ -32,9 +33,6 @@ from dgeval.recording.messages import (
     poses_of,
     stamp_ns,
 )
-
-SCORE_TOPIC = "/dgeval/belief/score"
-EVENTS_TOPIC = "/dgeval/events"
 
 
 @dataclass
@@ -135,7 +133,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 text = opened.decode(message).data
                 if message.topic == wanted_events:
                     out.events.append(event_of(text, message.log_ns))
-                elif message.topic.endswith("robot_description"):
+                elif message.topic.endswith(ROBOT_DESCRIPTION):
                     out.description = text
             elif message.topic == SCORE_TOPIC:
                 out.scores.append((message.log_ns, float(opened.decode(message).data)))

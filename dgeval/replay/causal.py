@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dgeval.config import Config
+from dgeval.config import Config, GraspsConfig
 from dgeval.geometry import Array, matrix_from_pose, transform
 from dgeval.perception.pipeline import Perception, pose_columns
 from dgeval.perception.target import find_target
@@ -21,8 +21,9 @@ from dgeval.planning.execution import execute
 from dgeval.planning.recorded_grasps import Choice, RecordedGrasps
 from dgeval.planning.schedule import Delayed
 from dgeval.planning.servo import Servo
+from dgeval.recording.contract import CLOSE_EVENT, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
-from dgeval.recording.trials import GRASP_TOPIC, SEED_TOPIC, Trial
+from dgeval.recording.trials import Trial
 from dgeval.robots.hand import Hand, hand_named, hand_of
 
 if TYPE_CHECKING:
@@ -102,10 +103,10 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
         )
 
 
-def grasp_source(trial: Trial, config: Config) -> str:
+def grasp_source(trial: Trial, config: GraspsConfig) -> str:
     """`recorded`, `ffhnet` or `none`: what `grasps.source` comes to in this trial."""
-    if config.grasps.source != "auto":
-        return config.grasps.source
+    if config.source != "auto":
+        return config.source
     if trial.scan.poses.get(GRASP_TOPIC):
         return "recorded"
     hand = recorded_hand(trial)
@@ -122,7 +123,7 @@ def recorded_hand(trial: Trial) -> Hand | None:
 
 
 def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None:
-    source = grasp_source(trial, config)
+    source = grasp_source(trial, config.grasps)
     if source == "recorded":
         return RecordedGrasps(config)
     if source == "none":
@@ -131,7 +132,7 @@ def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None
         ModelGrasps,
     )  # brings torch, which takes longer to import than all the rest
 
-    return ModelGrasps(trial, config)
+    return ModelGrasps(trial.robot, config)
 
 
 def recorded_seed(trial: Trial) -> Array | None:
@@ -186,7 +187,7 @@ def _control(
 
 def _palm_at_close(trial: Trial) -> Array | None:
     """Position (3,) of the palm at the recorded close, base frame: where the target must have been."""
-    close = trial.event_ns("close")
+    close = trial.event_ns(CLOSE_EVENT)
     T = None if close is None else trial.robot.T_base_palm(close)
     return None if T is None else np.asarray(T[:3, 3])
 

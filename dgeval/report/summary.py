@@ -15,6 +15,7 @@ from typing import Any
 import pandas as pd
 
 from dgeval.recording.containers.opening import open_container
+from dgeval.recording.contract import TRUTH_VERDICT_TOPIC
 from dgeval.recording.manifest import find_trials
 from dgeval.statistics import confusion, macro_f1, wilson
 
@@ -25,7 +26,6 @@ LABELS = {
     "timing": "timing",
     "unknown": "unknown",
 }
-TRUTH_TOPIC = "/truth/verdict"
 
 
 @dataclass(frozen=True)
@@ -133,9 +133,9 @@ def read_truth(paths: list[Path]) -> dict[str, dict[str, Any]]:
     out = {}
     for spec in find_trials(paths):
         opened = open_container(spec.recording)
-        if TRUTH_TOPIC not in opened.topics:
+        if TRUTH_VERDICT_TOPIC not in opened.topics:
             continue
-        for message in opened.messages(frozenset({TRUTH_TOPIC})):
+        for message in opened.messages(frozenset({TRUTH_VERDICT_TOPIC})):
             out[spec.id] = dict(json.loads(opened.decode(message).data))
     return out
 

@@ -16,13 +16,14 @@ import cv2
 import numpy as np
 
 from dgeval import __version__
-from dgeval.config import Config
+from dgeval.config import Config, ReviewConfig
 from dgeval.determinism import limit_threads
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, DgevalError, describe
 from dgeval.geometry import Array
 from dgeval.hindsight.second_pass import Hindsight, look_back
 from dgeval.hindsight.surface import Seen, Surface, seen_of
 from dgeval.perception.pipeline import Perception, pose_columns
+from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
 from dgeval.replay.causal import Step, grasp_source, recorded_seed, replay
@@ -43,7 +44,7 @@ from dgeval.verdict.picture import decisive_picture
 
 MAX_RECENT = 400  # images kept to draw the decisive moment on, as they were compressed
 # Makes the object that writes a trial's review recording: add(step) per frame, close(path) at the end.
-ReviewFactory = Callable[[Path, Trial, Config], Any]
+ReviewFactory = Callable[[Path, Trial, ReviewConfig], Any]
 
 
 def resume_key(spec: TrialSpec, config: Config, sha256: str) -> str:
@@ -62,14 +63,17 @@ def replay_trial(
     review: ReviewFactory | None,
     force: bool,
     progress: Callable[[int, int], None] | None = None,
+    sha256: str | None = None,
 ) -> TrialResult:
     """Replay one trial into the run folder; the commit mark `trials/<trial>.json` is written last.
+
+    sha256: of the recording where it is known already.
 
     Known errors become messages with an exit code; so does an unknown one, whose traceback goes into the run's log.
     """
     limit_threads()
     try:
-        return _replay_trial(spec, config, out, review, force, progress)
+        return _replay_trial(spec, config, out, review, force, progress, sha256)
     except DgevalError as error:
         return TrialResult(spec.id, None, error.exit_code, [str(error)], None)
     except Exception as error:  # the boundary of a trial: one must not take the others down
@@ -90,8 +94,9 @@ def _replay_trial(
     review: ReviewFactory | None,
     force: bool,
     progress: Callable[[int, int], None] | None,
+    sha256: str | None,
 ) -> TrialResult:
-    trial = open_trial(spec, config)
+    trial = open_trial(spec, config, sha256)
     key = resume_key(spec, config, trial.sha256)
     name = file_name(spec.id)
     mark = out / "trials" / f"{name}.json"
@@ -112,13 +117,16 @@ def _replay_trial(
         (out / folder).mkdir(parents=True, exist_ok=True)
 
     view = (
-        review(out / "review" / f"{name}.rrd.part", trial, config) if review is not None else None
+        review(out / "review" / f"{name}.rrd.part", trial, config.review)
+        if review is not None
+        else None
     )
     digests = StageDigests()
     counts = dict.fromkeys(("frames", "lost", "predicted", "no_depth"), 0)
     t_execute_ns = None
     model = None
     last_ns = trial.pairs[-1][0]
+    close_ns = trial.event_ns(CLOSE_EVENT)
     perception = Perception(config)
     seen: list[Seen] = []
     surface = Surface()
@@ -157,7 +165,7 @@ def _replay_trial(
                 seen.append(known)
             if step.accepted and step.model is not None:
                 surface.add(step.model)
-            if trial.event_ns("close") is None or step.frame.t_ns <= trial.event_ns("close"):  # type: ignore[operator]
+            if close_ns is None or step.frame.t_ns <= close_ns:
                 recent.append((step.frame.t_ns, step.T_base_camera, _as_jpeg(step)))
             if view is not None:
                 view.add(step)
@@ -237,7 +245,7 @@ def _trial_row(
         notes.append("self_filter: none, no robot description")
     stand_in = {"model": "model tracker", "csrt": "CSRT"}[config.tracking.method]
     notes.append(f"stand-in: {stand_in} in place of TransT-M")
-    source = "vfas" if config.pipeline == "vfas" else grasp_source(trial, config)
+    source = "vfas" if config.pipeline == "vfas" else grasp_source(trial, config.grasps)
     if source == "vfas":
         notes += vfas_notes(config, recorded_seed(trial) is not None)
     elif source == "recorded":
@@ -270,7 +278,7 @@ def _trial_row(
         "self_filter": self_filter,
         "target_source": "bbox" if spec.bbox is not None else "automatic",
         "t_execute_ns": t_execute_ns,
-        "t_close_ns": trial.event_ns("close"),
+        "t_close_ns": trial.event_ns(CLOSE_EVENT),
         "t_decisive_ns": judgement.decisive_ns,
         "contact_link": judgement.link,
         "notes": "; ".join([*notes, *judgement.notes]),

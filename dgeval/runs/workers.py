@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -25,12 +25,19 @@ def replay_trials(
     jobs: int,
     on_result: Callable[[TrialResult], None],
     progress: Callable[[int, int], None] | None = None,
+    hashes: Mapping[str, str] | None = None,
 ) -> list[TrialResult]:
-    """Replay every trial; results in the order of `specs`. With one job it happens in this process."""
+    """Replay every trial; results in the order of `specs`. With one job it happens in this process.
+
+    hashes: SHA-256 of the recording by trial, where the caller computed them already.
+    """
+    known = hashes or {}
     results: dict[str, TrialResult] = {}
     if jobs == 1 or len(specs) == 1:
         for spec in specs:
-            results[spec.id] = replay_trial(spec, config, out, review, force, progress)
+            results[spec.id] = replay_trial(
+                spec, config, out, review, force, progress, known.get(spec.id)
+            )
             on_result(results[spec.id])
         return [results[s.id] for s in specs]
     set_thread_variables()
@@ -38,7 +45,10 @@ def replay_trials(
         min(jobs, len(specs)), mp_context=multiprocessing.get_context("spawn")
     ) as pool:
         waiting = {
-            pool.submit(replay_trial, spec, config, out, review, force): spec for spec in specs
+            pool.submit(
+                replay_trial, spec, config, out, review, force, None, known.get(spec.id)
+            ): spec
+            for spec in specs
         }
         for future in as_completed(waiting):
             spec = waiting[future]

@@ -12,7 +12,30 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, transform
-from dgeval.recording.trials import SEED_TOPIC
+from dgeval.recording.contract import (
+    CLOSE_EVENT,
+    COMMAND_TOPIC,
+    EVENT_KEY,
+    EVENTS_TOPIC,
+    EXECUTE_TOPIC,
+    GRASP_JOINTS_TOPIC,
+    GRASP_TOPIC,
+    LIFT_EVENT,
+    MASK_TOPIC,
+    MODEL_TOPIC,
+    NOTES_KEY,
+    ROBOT_DESCRIPTION,
+    SCORE_TOPIC,
+    SEED_TOPIC,
+    TARGET_TOPIC,
+    TRIAL_END_EVENT,
+    TRIAL_START_EVENT,
+    TRUTH_CONTACTS_TOPIC,
+    TRUTH_OBJECT_TOPIC,
+    TRUTH_UNDISTURBED_TOPIC,
+    TRUTH_VERDICT_TOPIC,
+    VELOCITY_TOPIC,
+)
 from dgeval.recording.write import (
     camera_info_message,
     cloud_message,
@@ -27,7 +50,6 @@ from dgeval.recording.write import (
     twist_stamped,
 )
 from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
-from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.robots.urdf import CAMERA_FRAME, robot_urdf
 from dgeval.simulation.render import Eyes
 from dgeval.simulation.scenario import Scenario
@@ -35,7 +57,7 @@ from dgeval.simulation.seeing import Images, encode
 from dgeval.simulation.trial import FrameBelief, Run
 from dgeval.simulation.truth import Truth
 from dgeval.simulation.world import World, matrix_of
-from dgeval.worlds.closing import CONTROL_S, SETTLE_S
+from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
 from dgeval.worlds.objects import surface_points
 
 START_NS = 1_800_000_000_000_000_000
@@ -78,7 +100,7 @@ def write_recording(
     first: Array | None = None
     with open_writer(path) as writer:
         writer.write(
-            "/robot_description",
+            f"/{ROBOT_DESCRIPTION}",
             START_NS,
             text(robot_urdf(world.gripper.T_hand_camera, world.gripper)),
         )
@@ -107,7 +129,7 @@ def write_recording(
             writer.write(DEPTH_TOPIC, t_ns, depth)
             if images.mask is not None:
                 writer.write(
-                    "/dgeval/belief/mask",
+                    MASK_TOPIC,
                     t_ns,
                     png_message(t_ns, CAMERA_FRAME, images.mask.astype(np.uint8) * 255),
                 )
@@ -126,20 +148,20 @@ def write_recording(
                 T_camera_model = T_camera_object @ invert(first)
             if T_camera_model is not None:
                 writer.write(
-                    "/dgeval/belief/target_pose",
+                    TARGET_TOPIC,
                     t_ns,
                     pose_stamped(t_ns, CAMERA_FRAME, T_camera_model),
                 )
             if cloud is not None:
-                writer.write("/dgeval/belief/model", t_ns, cloud_message(t_ns, CAMERA_FRAME, cloud))
+                writer.write(MODEL_TOPIC, t_ns, cloud_message(t_ns, CAMERA_FRAME, cloud))
             if belief.velocity is not None:
                 twist = np.concatenate([belief.velocity, np.zeros(3)])
-                writer.write("/dgeval/belief/velocity", t_ns, twist_stamped(t_ns, BASE, twist))
+                writer.write(VELOCITY_TOPIC, t_ns, twist_stamped(t_ns, BASE, twist))
             for topic, value in _choice(run, k, t_ns, world.gripper.drives):
                 writer.write(topic, t_ns, value)
         end = _at(len(run.ticks))
-        writer.write("/truth/verdict", end, text(json.dumps(verdict, sort_keys=True)))
-        writer.write("/dgeval/events", end, text(json.dumps({"event": "trial_end"})))
+        writer.write(TRUTH_VERDICT_TOPIC, end, text(json.dumps(verdict, sort_keys=True)))
+        writer.write(EVENTS_TOPIC, end, text(json.dumps({EVENT_KEY: TRIAL_END_EVENT})))
     return Recorded(len(run.frames), box)
 
 
@@ -197,12 +219,12 @@ def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
         f"simulated: servo gains {scenario.pipeline.servo.gains}",
     ]
     notes += [f"simulated: {what}" for what in scenario.pipeline.beyond_the_paper()]
-    start = {"event": "trial_start", "notes": VFAS if scenario.vfas else notes}
-    out = {0: [("/dgeval/events", text(json.dumps(start)))]}
+    start = {EVENT_KEY: TRIAL_START_EVENT, NOTES_KEY: VFAS if scenario.vfas else notes}
+    out = {0: [(EVENTS_TOPIC, text(json.dumps(start)))]}
     if run.close is not None:
         lift = run.close + round((CLOSE_S + SETTLE_S) / CONTROL_S)
-        out[run.close] = [("/dgeval/events", text(json.dumps({"event": "close"})))]
-        out[lift] = [("/dgeval/events", text(json.dumps({"event": "lift"})))]
+        out[run.close] = [(EVENTS_TOPIC, text(json.dumps({EVENT_KEY: CLOSE_EVENT})))]
+        out[lift] = [(EVENTS_TOPIC, text(json.dumps({EVENT_KEY: LIFT_EVENT})))]
     return out
 
 
@@ -224,12 +246,10 @@ def _states(run: Run, twin: Array, world: World) -> Iterator[tuple[int, list[tup
         effort = d.qfrc_actuator[dofs] + EFFORT_NOISE * noise[2]
         out = [("/joint_states", joint_state(t_ns, names, position, velocity, effort))]
         if run.close is None or k <= run.close:
-            out.append(("/dgeval/belief/twist_command", twist_stamped(t_ns, BASE, tick.twist)))
-        out.append(("/truth/object_pose", pose_stamped(t_ns, BASE, world.T_base_object())))
+            out.append((COMMAND_TOPIC, twist_stamped(t_ns, BASE, tick.twist)))
+        out.append((TRUTH_OBJECT_TOPIC, pose_stamped(t_ns, BASE, world.T_base_object())))
         if k % 10 == 0:
-            out.append(
-                ("/truth/undisturbed_pose", pose_stamped(t_ns, BASE, matrix_of(twin[k, :7])))
-            )
+            out.append((TRUTH_UNDISTURBED_TOPIC, pose_stamped(t_ns, BASE, matrix_of(twin[k, :7]))))
         forces = world.finger_forces().round(3).tolist()
         now = {
             "hand_object": tick.contact,
@@ -237,7 +257,7 @@ def _states(run: Run, twin: Array, world: World) -> Iterator[tuple[int, list[tup
             "finger_force": dict(zip(world.gripper.fingers, forces, strict=True)),
         }
         if tick.contact or tick.foreign or touching is not False:
-            out.append(("/truth/contacts", text(json.dumps(now))))
+            out.append((TRUTH_CONTACTS_TOPIC, text(json.dumps(now))))
         touching = tick.contact or tick.foreign
         yield k, out
 
@@ -247,9 +267,9 @@ def _choice(run: Run, k: int, t_ns: int, drives: tuple[str, ...]) -> list[tuple[
     tick = run.ticks[k]
     out: list[tuple[str, Any]] = []
     if tick.T_base_grasp is not None and tick.preshape is not None:
-        out.append(("/dgeval/belief/grasp", pose_stamped(t_ns, BASE, tick.T_base_grasp)))
-        out.append(("/dgeval/belief/grasp_joints", joint_state(t_ns, drives, tick.preshape)))
+        out.append((GRASP_TOPIC, pose_stamped(t_ns, BASE, tick.T_base_grasp)))
+        out.append((GRASP_JOINTS_TOPIC, joint_state(t_ns, drives, tick.preshape)))
     if tick.score is not None:
-        out.append(("/dgeval/belief/score", message("std_msgs/Float64", data=tick.score)))
-    out.append(("/dgeval/belief/execute", message("std_msgs/Bool", data=tick.execute)))
+        out.append((SCORE_TOPIC, message("std_msgs/Float64", data=tick.score)))
+    out.append((EXECUTE_TOPIC, message("std_msgs/Bool", data=tick.execute)))
     return out

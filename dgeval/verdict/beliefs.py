@@ -19,12 +19,18 @@ from scipy.spatial import cKDTree
 from dgeval.failure_rule import Unknown
 from dgeval.geometry import Array, invert, matrix_from_pose, transform
 from dgeval.hindsight.second_pass import Hindsight
+from dgeval.recording.contract import (
+    CLOSE_EVENT,
+    COMMAND_TOPIC,
+    GRASP_TOPIC,
+    MASK_TOPIC,
+    MODEL_TOPIC,
+    TARGET_TOPIC,
+    VELOCITY_TOPIC,
+)
 from dgeval.recording.messages import StampedPose, cloud_points
-from dgeval.recording.trials import GRASP_TOPIC, Trial
+from dgeval.recording.trials import Trial
 
-TARGET_TOPIC, VELOCITY_TOPIC = "/dgeval/belief/target_pose", "/dgeval/belief/velocity"
-COMMAND_TOPIC = "/dgeval/belief/twist_command"
-MASK_TOPIC, MODEL_TOPIC = "/dgeval/belief/mask", "/dgeval/belief/model"
 # before its last sighting, and how many in it, whose errors tell a drift
 DRIFT_NS, LEAST_SIGHTINGS = 1_000_000_000, 5
 SEEN_NS = 50_000_000  # from a time to the sighting that tells where a pushed object was
@@ -59,7 +65,7 @@ class Beliefs:
 
 def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | Unknown:
     """What the robot believed, base frame; `Unknown` says why nothing can be said."""
-    close_ns = trial.event_ns("close")
+    close_ns = trial.event_ns(CLOSE_EVENT)
     grasps, targets = trial.scan.poses.get(GRASP_TOPIC, []), trial.scan.poses.get(TARGET_TOPIC, [])
     at_ns = _nearest_ns(trial, grasps) if close_ns is None else close_ns
     if at_ns is None:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from dgeval.failure_rule import Unknown
 from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.hindsight.second_pass import Hindsight
+from dgeval.recording.contract import CLOSE_EVENT, COMMAND_TOPIC, VELOCITY_TOPIC
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.trials import Trial
-from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.robots.hand import Hand, hand_of, hands
-from dgeval.verdict.beliefs import COMMAND_TOPIC, VELOCITY_TOPIC, Beliefs, beliefs_of
-from dgeval.worlds.closing import CONTROL_S, SETTLE_S
+from dgeval.verdict.beliefs import Beliefs, beliefs_of
+from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
 
 PERIOD_NS = round(CONTROL_S * 1e9)
 APPROACH_S = 12.0  # before the close, as much of the approach as is looked at
@@ -90,7 +90,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
 
     `Unknown` says why there can't be one.
     """
-    close_ns = trial.event_ns("close")
+    close_ns = trial.event_ns(CLOSE_EVENT)
     description = trial.robot.description
     base = trial.robot.base_frame
     if description is None or base is None:

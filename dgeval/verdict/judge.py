@@ -11,6 +11,7 @@ from typing import Any
 from dgeval.config import Config
 from dgeval.failure_rule import Outcome, OutcomeSource, Unknown
 from dgeval.hindsight.second_pass import Hindsight
+from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.trials import Trial
 from dgeval.verdict.decide import Blame, Decision, blame_of, undecided
 from dgeval.verdict.draws import decide_scene
@@ -53,7 +54,7 @@ class Judgement:
 def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgement:
     """The verdict on one trial from its recording alone."""
     ended = outcome_of(trial, hindsight)
-    close_ns = trial.event_ns("close")
+    close_ns = trial.event_ns(CLOSE_EVENT)
     row = VerdictRow(ended.outcome, ended.source, ended.evidence)
     notes: list[str] = []
     if hindsight is not None:

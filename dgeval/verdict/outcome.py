@@ -13,6 +13,13 @@ from dgeval.failure_rule import Outcome, OutcomeSource
 from dgeval.geometry import transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
+from dgeval.recording.contract import (
+    CLOSE_EVENT,
+    GRASP_TOPIC,
+    LABEL_EVENT,
+    LABEL_KEY,
+    TRIAL_END_EVENT,
+)
 from dgeval.recording.trials import Trial
 from dgeval.robots.hand import hands
 
@@ -44,13 +51,13 @@ def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
     """
     spec = trial.spec
     label = spec.label or next(
-        (str(e.fields.get("label")) for e in trial.events if e.kind == "label"), None
+        (str(e.fields.get(LABEL_KEY)) for e in trial.events if e.kind == LABEL_EVENT), None
     )
     if label in ("success", "failure"):
         return Ended(
             "success" if label == "success" else "failure", "label", "an operator's label says so"
         )
-    close_ns = trial.event_ns("close")
+    close_ns = trial.event_ns(CLOSE_EVENT)
     if close_ns is None:
         if trial.damage:
             return Ended(
@@ -58,7 +65,7 @@ def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
                 None,
                 "the recording is damaged and what can be read of it has no close",
             )
-        if trial.scan.poses.get("/dgeval/belief/grasp") and trial.event_ns("trial_end") is not None:
+        if trial.scan.poses.get(GRASP_TOPIC) and trial.event_ns(TRIAL_END_EVENT) is not None:
             return Ended(
                 "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
             )
@@ -134,7 +141,9 @@ def _seen_after(
     if float(np.median(np.abs(np.subtract(rises, rise)))) > STEADY_M:
         return None  # taken for something else from frame to frame
     at = (later[-1].t_ns - close_ns) * 1e-9
-    near = hand_distance(trial, later[-1].t_ns, transform(later[-1].T_base_model, centre[None]))
+    near = hand_distance(
+        trial.robot, later[-1].t_ns, transform(later[-1].T_base_model, centre[None])
+    )
     if rise < LEFT_BEHIND_M:
         if near is not None and near[0] < IN_HAND_M:
             return None

@@ -14,11 +14,11 @@ import numpy as np
 
 from dgeval.failure_rule import Facts, Needs, Thresholds, Unknown, Verdict, classify
 from dgeval.geometry import Array, invert, rotation_vector
-from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.verdict.decide import Draw
 from dgeval.verdict.evidence import Scene
 from dgeval.worlds.closing import (
     AFTER_CLOSE_S,
+    CLOSE_S,
     CONTROL_S,
     LIFT_S,
     NEAR,

@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 from dgeval.cli import app
 from dgeval.config import load_config
+from dgeval.recording.contract import GRASP_TOPIC
 from dgeval.recording.manifest import find_trials
-from dgeval.recording.trials import GRASP_TOPIC, open_trial
+from dgeval.recording.trials import open_trial
 from dgeval.robots.description import load_description
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.robots.hand import hand_of

@@ -20,9 +20,13 @@ from dgeval.geometry import Array, Intrinsics, invert, pose_from_matrix, transfo
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.hindsight.smoothing import By, Sighting, smooth
 from dgeval.perception.plane import Plane
+from dgeval.recording.camera import Camera
 from dgeval.recording.containers.container import Opened, RawMessage, Topic
+from dgeval.recording.events import Events
+from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.messages import Event, JointSample, StampedPose
+from dgeval.recording.pairing import Pair, Window
 from dgeval.recording.robot import robot_states
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import ImageHead, Scan, TopicTimes
@@ -312,20 +316,19 @@ def trial_of(
         stamps = [ns(t) for t in masks]
         found.times[MASK] = TopicTimes(stamps, stamps)
     roles = Roles(COLOUR, DEPTH, None, JOINTS, None, None)
-    frames = [ns(t) for t in every(0.05, first, last)]
+    pairs = tuple(Pair(ns(t), k, k) for k, t in enumerate(every(0.05, first, last)))
+    robot = robot_states(found, roles, config)
+    camera = Camera(Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5), None, None)
     return Trial(
         spec=TrialSpec("synthetic", Path("synthetic.mcap")),
+        sha256="",
+        config=config,
         opened=opened,
         scan=found,
         roles=roles,
-        robot=robot_states(found, roles, config),
-        camera=Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5),
-        config=config,
-        sha256="",
-        pairs=[(t_ns, k, k) for k, t_ns in enumerate(frames)],
-        events=[] if close is None else [Event(ns(close), "close", {})],
-        stamp_faults={},
-        n_unmatched_colour=0,
-        n_unmatched_depth=0,
-        notes=[],
+        robot=robot,
+        window=Window(pairs[0].t_ns, pairs[-1].t_ns, pairs, 0, 0, {}),
+        events=Events(() if close is None else (Event(ns(close), "close", {}),)),
+        reader=FrameReader(opened, COLOUR, DEPTH, pairs, camera, robot, (), LostFrames([])),
+        notes=(),
     )

@@ -562,7 +562,7 @@ def test_just_enough_for_a_scene() -> None:
 
 def test_without_a_base_frame_there_is_no_scene() -> None:
     trial = trial_of()
-    trial.robot.base_frame = None
+    trial = replace(trial, robot=replace(trial.robot, base_frame=None))
     assert scene_of(trial, hindsight_of()) == Unknown(NO_GEOMETRY)
 
 

@@ -53,6 +53,7 @@ def trial(
         events=every,
         event_ns=lambda kind: next((e.t_ns for e in every if e.kind == kind), None),
         damage=list(damage),
+        robot=None,  # `hand_distance` is replaced where it counts
         pairs=[(START, 0, 0), (at(last_s), 1, 1)],
         scan=SimpleNamespace(poses=poses or {}, joints={"/joints": list(joints)}),
         roles=SimpleNamespace(hand_joints=hand_joints),

@@ -361,8 +361,8 @@ def test_a_pushed_object_is_looked_for_where_it_was_and_will_be_seen() -> None:
         Sighting(round(t * seconds), T, "registration", False)
         for t, T in zip((1.9, 2.3), off, strict=True)
     ]
-    trial = SimpleNamespace(robot=SimpleNamespace(T_base_palm=lambda _: None))
-    found = _priors(2 * seconds, path, sightings, trial, 3 * seconds)  # type: ignore[arg-type]
+    robot = SimpleNamespace(T_base_palm=lambda _: None)
+    found = _priors(2 * seconds, path, sightings, robot, 3 * seconds)  # type: ignore[arg-type]
     np.testing.assert_allclose(
         [T[:3, 3] for T in found], [[0.0, 0.2, 0.0], [0.03, 0.2, 0.0], [0.06, 0.18, 0.0]], atol=1e-9
     )
@@ -388,7 +388,7 @@ def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPat
         robot=SimpleNamespace(T_base_palm=lambda _: None, hand_shapes=lambda _: None, T_base_camera=lambda _: None),
     )  # fmt: skip
 
-    def look(frame, seen, tracker, model, priors, config):
+    def look(frame, seen, tracker, model, priors, observation, registration):
         there = true(frame.index)
         known = frame.index >= 35 or any(
             np.linalg.norm(p[:3, 3] - there[:3, 3]) < 0.02 for p in priors
@@ -427,7 +427,7 @@ def test_what_is_seen_high_up_but_away_from_the_hand_was_not_lifted(
             path=path, support=Plane(np.array([0.0, 0.0, 1.0]), 0.0, 1.0), sightings=places
         )
         monkeypatch.setattr("dgeval.verdict.outcome.hand_distance", lambda *_: (apart, "index_3"))
-        return outcome._seen_after(SimpleNamespace(), hindsight, 0)  # type: ignore[arg-type]
+        return outcome._seen_after(SimpleNamespace(robot=None), hindsight, 0)  # type: ignore[arg-type]
 
     assert said([0.2] * 6, 0.02) == (True, "the object is seen 20 cm up, 2.2 s after the close")
     assert said([0.2] * 6, 0.16) is None

@@ -1,0 +1,96 @@
+"""The names that recordings and dgeval agree on: topics, events, and the keys of an event.
+
+`dgeval simulate` writes these topics and every reader knows them by these names. A robot's own log
+may have any of them. No other file of the package spells one out.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal
+
+DGEVAL_PREFIX: Final = "/dgeval/"
+"""Topics of dgeval's own contract; none of them is a camera or a robot state."""
+
+BELIEF_PREFIX: Final = "/dgeval/belief/"
+"""What the robot believed while it ran; read to say which part of it is to blame."""
+
+TRUTH_PREFIX: Final = "/truth/"
+"""What a simulator knows for certain. Never an input of a verdict, never a label."""
+
+ROBOT_DESCRIPTION: Final = "robot_description"
+"""Last part of the name of a latched topic with the robot's URDF, std_msgs/String."""
+
+EVENTS_TOPIC: Final = "/dgeval/events"
+"""std_msgs/String: one JSON object {"event": kind, ...} per message."""
+
+SEED_TOPIC: Final = "/dgeval/seed"
+"""PoseStamped, T_base_seed: another planner's proposed grasp, which VFAS-Grasp starts from."""
+
+TARGET_TOPIC: Final = "/dgeval/belief/target_pose"
+"""PoseStamped, T_camera_model: where the robot tracked its target."""
+
+VELOCITY_TOPIC: Final = "/dgeval/belief/velocity"
+"""TwistStamped, base frame, m/s: the target's velocity by the robot's filter."""
+
+GRASP_TOPIC: Final = "/dgeval/belief/grasp"
+"""PoseStamped, T_base_palm: the grasp that the robot chose."""
+
+GRASP_JOINTS_TOPIC: Final = "/dgeval/belief/grasp_joints"
+"""JointState, rad or m: the preshape of the chosen grasp."""
+
+SCORE_TOPIC: Final = "/dgeval/belief/score"
+"""Float64: the grasp score of the hand as it is."""
+
+EXECUTE_TOPIC: Final = "/dgeval/belief/execute"
+"""Bool: whether the robot decided to execute the grasp."""
+
+MASK_TOPIC: Final = "/dgeval/belief/mask"
+"""CompressedImage, PNG: the robot's mask of its target, only with frames in which it saw it."""
+
+MODEL_TOPIC: Final = "/dgeval/belief/model"
+"""PointCloud2, model frame, m: the robot's model of its target."""
+
+COMMAND_TOPIC: Final = "/dgeval/belief/twist_command"
+"""TwistStamped, base frame, m/s and rad/s: the commanded twist of the palm."""
+
+TRUTH_OBJECT_TOPIC: Final = "/truth/object_pose"
+"""PoseStamped, T_base_object."""
+
+TRUTH_UNDISTURBED_TOPIC: Final = "/truth/undisturbed_pose"
+"""PoseStamped, T_base_object where the object would be had the hand not touched it."""
+
+TRUTH_CONTACTS_TOPIC: Final = "/truth/contacts"
+"""std_msgs/String, JSON: contacts of the hand, and force by finger, N."""
+
+TRUTH_VERDICT_TOPIC: Final = "/truth/verdict"
+"""std_msgs/String, JSON: outcome, class of failure, sub-cause and blame."""
+
+EventKind = Literal["trial_start", "close", "lift", "trial_end", "label"]
+"""What an entry of EVENTS_TOPIC may say. Other kinds are kept and shown, and mean nothing."""
+
+TRIAL_START_EVENT: Final = "trial_start"
+"""A trial begins; a recording with several is cut there. May carry NOTES_KEY."""
+
+CLOSE_EVENT: Final = "close"
+"""The hand was commanded to close."""
+
+LIFT_EVENT: Final = "lift"
+"""The hand was commanded to lift."""
+
+TRIAL_END_EVENT: Final = "trial_end"
+"""A trial ends; what follows belongs to no trial."""
+
+LABEL_EVENT: Final = "label"
+"""An operator says how the trial ended, under LABEL_KEY."""
+
+EVENT_KEY: Final = "event"
+"""Key of an event's kind."""
+
+TIME_KEY: Final = "t_ns"
+"""Key of an event's own time, ns; without it the log time counts."""
+
+NOTES_KEY: Final = "notes"
+"""Key of a list of sentences about how the recording was made."""
+
+LABEL_KEY: Final = "label"
+"""Key of an operator's label, `success` or `failure`."""

@@ -1,0 +1,42 @@
+"""The events of one trial: what the robot or an operator wrote about it while it ran."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from dgeval.recording.contract import NOTES_KEY, TRIAL_START_EVENT, EventKind
+from dgeval.recording.messages import Event
+
+AFTER_NS = 1_000_000_000  # ns; events this long after a trial's last frame still belong to it
+
+
+@dataclass(frozen=True)
+class Events:
+    """The entries of a trial in time order."""
+
+    entries: tuple[Event, ...] = ()
+
+    def __iter__(self) -> Iterator[Event]:
+        return iter(self.entries)
+
+    def first_ns(self, kind: EventKind) -> int | None:
+        """Time of the first event of a kind, ns; None without one."""
+        return next((e.t_ns for e in self.entries if e.kind == kind), None)
+
+    def notes(self) -> list[str]:
+        """What the entries at the trial's start say about how it was recorded."""
+        out: list[str] = []
+        for event in self.entries:
+            listed = event.fields.get(NOTES_KEY)
+            if event.kind == TRIAL_START_EVENT and isinstance(listed, list):
+                out.extend(str(note) for note in listed)
+        return out
+
+
+def events_within(events: list[Event], start_ns: int, end_ns: int, limit_ns: int | None) -> Events:
+    """The events of a window, ns, and of AFTER_NS after it, but none after `limit_ns`."""
+    inside = [e for e in events if start_ns <= e.t_ns <= end_ns + AFTER_NS]
+    if limit_ns is not None:
+        inside = [e for e in inside if e.t_ns <= limit_ns]
+    return Events(tuple(inside))

@@ -1,0 +1,146 @@
+"""The paired images of a trial as frames, in time order, with the robot at each one's time."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from dgeval.errors import Damage, Place, UndecodableError, UnreadableError
+from dgeval.geometry import matrix_from_pose
+from dgeval.recording.camera import Camera
+from dgeval.recording.containers.container import Opened, RawMessage
+from dgeval.recording.contract import GRASP_TOPIC
+from dgeval.recording.frame import Frame, RecordedGrasp
+from dgeval.recording.images import colour_from, decode_image, depth_from
+from dgeval.recording.pairing import Pair
+from dgeval.recording.robot import RobotStates
+from dgeval.recording.scan import Scan
+
+MAX_WAITING = 64  # images of one role held in memory while their partners are waited for
+SCORE_LATE_NS = 1_000_000  # ns; a score logged this long after its grasp still belongs to it
+
+RecordedGrasps = tuple[tuple[int, RecordedGrasp], ...]
+
+
+@dataclass
+class LostFrames:
+    """Counts pairs of images that could not be made into a frame, over all passes over a trial.
+
+    Every pass adds its own: a pair that two passes read counts twice. Only the first one is listed,
+    as a damage of the recording.
+    """
+
+    damage: list[Damage]
+    count: int = 0
+
+    def add(self, reason: str, place: Place) -> None:
+        self.count += 1
+        if self.count == 1:
+            what = f"a frame can't be used ({reason}); further ones are counted"
+            self.damage.append(Damage(what, place))
+
+
+@dataclass(frozen=True)
+class FrameReader:
+    """Reads a trial's frames from its recording, as often as it is asked to.
+
+    grasps: the robot's own choices with their stamps, ns, in time order; a frame gets the newest.
+    """
+
+    opened: Opened
+    colour_topic: str
+    depth_topic: str
+    pairs: tuple[Pair, ...]
+    camera: Camera
+    robot: RobotStates
+    grasps: RecordedGrasps
+    lost: LostFrames = field(compare=False)
+
+    def frames(self) -> Iterator[Frame]:
+        """Frames in the order of their stamps, index from 0.
+
+        A pair whose images can't be decoded is counted in `lost` and takes no index.
+        UnreadableError where partners lie too far apart in the file.
+        """
+        index_by_colour = {p.colour: i for i, p in enumerate(self.pairs)}
+        index_by_depth = {p.depth: i for i, p in enumerate(self.pairs)}
+        waiting: dict[int, dict[str, RawMessage]] = {}
+        ordinal = {"colour": -1, "depth": -1}
+        next_pair = 0
+        n_given = 0
+        role_of = {self.colour_topic: "colour", self.depth_topic: "depth"}
+        for message in self.opened.messages(frozenset(role_of)):
+            role = role_of[message.topic]
+            ordinal[role] += 1
+            by_ordinal = index_by_colour if role == "colour" else index_by_depth
+            index = by_ordinal.get(ordinal[role])
+            if index is None or index < next_pair:
+                continue
+            waiting.setdefault(index, {})[role] = message
+            if len(waiting) > MAX_WAITING:
+                raise UnreadableError(
+                    f"colour and depth lie more than {MAX_WAITING} frames apart in the file",
+                    Place(str(self.opened.path), message.topic, message.log_ns),
+                    "sort it by time",
+                )
+            while next_pair in waiting and len(waiting[next_pair]) == 2:
+                both = waiting.pop(next_pair)
+                t_ns = self.pairs[next_pair].t_ns
+                frame = self._frame(n_given, t_ns, both["colour"], both["depth"])
+                next_pair += 1
+                if frame is not None:
+                    n_given += 1
+                    yield frame
+            if next_pair == len(self.pairs):
+                return
+
+    def _frame(
+        self, index: int, t_ns: int, colour_raw: RawMessage, depth_raw: RawMessage
+    ) -> Frame | None:
+        """A frame of two messages; None where it is lost."""
+        try:
+            decoded = self.opened.decode(colour_raw)
+            colour = colour_from(decode_image(decoded))
+            depth = depth_from(decode_image(self.opened.decode(depth_raw)), self.camera.depth_scale)
+        except (UndecodableError, ValueError) as error:
+            self._lose(t_ns, str(error))
+            return None
+        intrinsics = self.camera.intrinsics
+        size = (intrinsics.height, intrinsics.width)
+        if colour.shape[:2] != size or depth.shape != size:
+            self._lose(
+                t_ns,
+                f"colour {colour.shape[1]}x{colour.shape[0]}, "
+                f"depth {depth.shape[1]}x{depth.shape[0]}, "
+                f"intrinsics {size[1]}x{size[0]}: not the same size",
+            )
+            return None
+        if self.camera.static_mask is not None:
+            depth[self.camera.static_mask > 0] = 0.0
+        at = bisect_right(self.grasps, t_ns, key=lambda g: g[0])
+        return Frame(
+            index,
+            t_ns,
+            colour,
+            depth,
+            intrinsics,
+            self.robot.T_base_camera(t_ns),
+            self.robot.T_base_palm(t_ns),
+            self.robot.hand_shapes(t_ns),
+            self.grasps[at - 1][1] if at else None,
+            bytes(memoryview(decoded.data)) if hasattr(decoded, "format") else None,
+        )
+
+    def _lose(self, t_ns: int, reason: str) -> None:
+        self.lost.add(reason, Place(str(self.opened.path), t_ns=t_ns))
+
+
+def recorded_grasps(scan: Scan) -> RecordedGrasps:
+    """The grasps that the robot chose, each with the newest score of the hand by then."""
+    out = []
+    for pose in scan.poses.get(GRASP_TOPIC, []):
+        scores = [s for t_ns, s in scan.scores if t_ns <= pose.t_ns + SCORE_LATE_NS]
+        grasp = RecordedGrasp(matrix_from_pose(pose.pose), scores[-1] if scores else None)
+        out.append((pose.t_ns, grasp))
+    return tuple(sorted(out, key=lambda g: g[0]))
