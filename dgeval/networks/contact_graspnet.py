@@ -122,8 +122,8 @@ class ContactGraspNet(nn.Module):
             interpolated = _interpolated(features, xyz, finer)
             features = step["nn"](torch.cat([interpolated, skip], 1))  # type: ignore[index]
             xyz = finer
-        whole = torch.cat([xyz, features], 1).T[None]
-        score, across, approach, width = (head(whole)[0].T for head in self.multihead)
+        inputs = torch.cat([xyz, features], 1).T[None]
+        score, across, approach, width = (head(inputs)[0].T for head in self.multihead)
         across = functional.normalize(across, dim=1)
         approach = functional.normalize(
             approach - (across * approach).sum(1, keepdim=True) * across, dim=1

@@ -94,10 +94,10 @@ def reference_outputs(state: dict[str, np.ndarray], points: np.ndarray) -> tuple
             w = 1 / np.maximum(d2[near], 1e-16)
             out.append(np.concatenate([(features[near] * w[:, None]).sum(0) / w.sum(), beside]))
         features, xyz = layers(state, f"feat_prop.{step}.nn", np.array(out)), fine
-    whole = np.concatenate([xyz, features], axis=1)
+    inputs = np.concatenate([xyz, features], axis=1)
     heads = []
     for h in range(4):
-        x = whole @ state[f"multihead.{h}.0.weight"][:, :, 0].T + state[f"multihead.{h}.0.bias"]
+        x = inputs @ state[f"multihead.{h}.0.weight"][:, :, 0].T + state[f"multihead.{h}.0.bias"]
         name = f"multihead.{h}.1"
         x = (x - state[f"{name}.running_mean"]) / np.sqrt(state[f"{name}.running_var"] + 1e-5)
         x = x * state[f"{name}.weight"] + state[f"{name}.bias"]

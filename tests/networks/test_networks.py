@@ -133,16 +133,17 @@ def test_generator_is_as_described() -> None:
     network = with_fixed_weights(FFHGenerator(*SIZE))
     bps, palms = random_inputs(7, SIZE[0])
     ref = Reference(network)
-    whole = np.tile(bps.numpy().astype(float), (7, 1))
+    bps_rows = np.tile(bps.numpy().astype(float), (7, 1))
     x = ref.norm(
         "enc_bn1",
         np.concatenate(
-            [whole, palms.rotation.numpy().reshape(7, 9), palms.translation, palms.joints], axis=1
+            [bps_rows, palms.rotation.numpy().reshape(7, 9), palms.translation, palms.joints],
+            axis=1,
         ),
     )
     code = ref.block("enc_rb2", np.concatenate([x, ref.block("enc_rb1", x)], axis=1))
     z = torch.randn(7, 5)
-    x0 = np.concatenate([z.numpy(), ref.norm("dec_bn1", whole)], axis=1)
+    x0 = np.concatenate([z.numpy(), ref.norm("dec_bn1", bps_rows)], axis=1)
     out = ref.block("dec_rb2", np.concatenate([x0, ref.block("dec_rb1", x0)], axis=1))
     with torch.no_grad():
         # one row for all candidates, and a row for each
@@ -231,14 +232,14 @@ def test_the_authors_containers_load(tmp_path: Path, legacy: bool) -> None:
     network = with_fixed_weights(FFHGenerator(*SIZE))
     optimiser = torch.optim.Adam(network.parameters())
     plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(optimiser)
-    whole = {
+    content = {
         "epoch": 10,
         "ffhgenerator_state_dict": {f"module.{k}": v for k, v in network.state_dict().items()},
         "optim_ffhgenerator_state_dict": optimiser.state_dict(),
         "scheduler_ffhgenerator_state_dict": plateau.__dict__ | {"optimizer": None},
     }
     path = tmp_path / "10_gen_net.pt"
-    torch.save(whole, path, _use_new_zipfile_serialization=not legacy)
+    torch.save(content, path, _use_new_zipfile_serialization=not legacy)
     loaded = load_generator(path)
     z, (bps, _) = torch.randn(4, 5), random_inputs(1, SIZE[0])
     with torch.no_grad():

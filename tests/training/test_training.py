@@ -89,9 +89,9 @@ def test_a_view_is_centred_and_its_encoding_belongs_to_it() -> None:
     for view in views_of(sugar_box, 4, 128, 0):
         placed = transform(view.T_view_object, surface)
         # the distance to the whole surface is at most that to its visible part, apart from noise
-        whole = np.linalg.norm(basis(128)[:, None] - placed[None], axis=2).min(axis=1)
-        assert (view.bps > whole - 0.025).all()
-        assert np.median(view.bps - whole) > -0.002
+        to_surface = np.linalg.norm(basis(128)[:, None] - placed[None], axis=2).min(axis=1)
+        assert (view.bps > to_surface - 0.025).all()
+        assert np.median(view.bps - to_surface) > -0.002
         assert np.linalg.norm(placed.mean(axis=0)) < 0.09
         assert view.T_view_object[2, 2] < -0.25  # z down, however the camera was held
 
@@ -122,7 +122,7 @@ def test_a_resumed_run_ends_like_an_uninterrupted_one(
 ) -> None:
     """Catches draws that depend on earlier steps, and a checkpoint that lacks part of the state."""
     objects = load_objects(grasps, SMALL, 6, 0)[:3]
-    whole = ffhnet.train(kind, objects, SMALL, tmp_path / "whole", lambda *_: None)
+    uninterrupted = ffhnet.train(kind, objects, SMALL, tmp_path / "whole", lambda *_: None)
     monkeypatch.setattr(loop, "SAVE_EVERY", 5)
 
     class StoppedError(Exception):
@@ -139,7 +139,7 @@ def test_a_resumed_run_ends_like_an_uninterrupted_one(
         kind, objects, SMALL, tmp_path / "part", lambda step, _: steps.append(step)
     )
     assert steps[0] == 6
-    for name, tensor in whole.state_dict().items():
+    for name, tensor in uninterrupted.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
 
 
