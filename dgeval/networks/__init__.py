@@ -1,1 +1,1 @@
-"""The papers' networks under the authors' names of layers, and the loading of their checkpoints."""
+"""The networks of the papers, with the authors' layer names, and the loading of checkpoints."""

@@ -1,4 +1,7 @@
-"""Basis point sets: a cloud as its distances from fixed points (Prokudin et al., ICCV 2019; PAPERS section 2)."""
+"""Basis point sets: a cloud encoded as its distances from fixed points.
+
+Method: Prokudin et al., ICCV 2019 (PAPERS section 2).
+"""
 
 from __future__ import annotations
 
@@ -8,18 +11,19 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-SEED = 13  # of the bps library
+SEED = 13  # default random seed of the authors' bps library
 
 
 @cache
 def basis(n: int = 4096, radius: float = 0.2) -> NDArray[np.float32]:
-    """Basis points (n, 3), m, uniform in a ball: `random_uniform` of the bps library, bit by bit. FFHNet: 4096 in 0.2 m.
+    """Basis points (n, 3) float32, m, drawn uniformly in a ball of `radius` m about the origin.
 
-    Its SHA-256 as float32 bytes is d1e7f6d3…; the array is shared and read-only.
+    The points are bit for bit those of `random_uniform` in the bps library. FFHNet uses 4096
+    points in 0.2 m, the defaults; the SHA-256 of their float32 bytes begins with d1e7f6d3.
+    The array is cached, shared by all callers, and read-only.
     """
-    stream = np.random.RandomState(
-        SEED
-    )  # legacy, as the library draws: all normals before the radii
+    # the library draws from NumPy's legacy generator: first all directions, then all radii
+    stream = np.random.RandomState(SEED)
     points = stream.normal(size=(n, 3))
     points /= np.sqrt(np.square(points).sum(axis=1))[:, None]
     points *= radius * np.power(stream.uniform(size=(n, 1)), 1 / 3)
@@ -29,13 +33,14 @@ def basis(n: int = 4096, radius: float = 0.2) -> NDArray[np.float32]:
 
 
 def encode(cloud: NDArray[np.floating], points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Distance (n,) m from each basis point (n, 3) to the nearest of a cloud (m, 3), which the caller has centred.
+    """Distances (n,) float32, m, from basis points (n, 3) to the nearest point of a cloud (m, 3).
 
-    ValueError for an empty cloud.
+    Both are in metres. The caller has subtracted the cloud's mean. Raises ValueError for an empty
+    cloud.
     """
     if len(cloud) == 0:
         raise ValueError("an empty cloud has no encoding")
-    # the fastest of four, benchmarks/results/ffhnet.md; it gives squared distances
+    # the fastest of four search trees (benchmarks/results/ffhnet.md); it returns squared distances
     _, squared = small_gicp.KdTree(
         np.asarray(cloud, dtype=np.float64)
     ).batch_nearest_neighbor_search(points.astype(np.float64))

@@ -1,4 +1,9 @@
-"""Weights from files: safetensors, and the authors' PyTorch containers without running what is pickled in them."""
+"""Reading of weights from safetensors files and from the authors' PyTorch files.
+
+A PyTorch file is a pickle, which can run code when it is loaded. Here only tensors and plain
+containers are rebuilt. Objects of known libraries beside the weights become empty placeholders. A
+pickle that names anything else is refused.
+"""
 
 from __future__ import annotations
 
@@ -17,28 +22,35 @@ from torch import Tensor, nn
 
 from dgeval.errors import Place, UsageError
 
-# of the published files, by their Git LFS pointers (PAPERS section 1.2)
+# SHA-256 of the published files, from their Git LFS pointers (PAPERS section 1.2)
 PUBLISHED = {
-    "eb572b6047f93c979c44d657ef55df275646c42a73cba8e43c01302ac06e41ff": "FFHNet generator, published (10_gen_net.pt)",
-    "5397584b96806c311170b84ce52d6a526e8577f5db84036c4917be8758e44d8c": "FFHNet evaluator, published (30_eva_net.pt)",
+    "eb572b6047f93c979c44d657ef55df275646c42a73cba8e43c01302ac06e41ff": (
+        "FFHNet generator, published (10_gen_net.pt)"
+    ),
+    "5397584b96806c311170b84ce52d6a526e8577f5db84036c4917be8758e44d8c": (
+        "FFHNet evaluator, published (30_eva_net.pt)"
+    ),
 }
-# what tensors are rebuilt by
+# (module, name) of the functions and types that PyTorch rebuilds a tensor with
 _REBUILD = {
-    ("torch._utils", "_rebuild_tensor"), ("torch._utils", "_rebuild_tensor_v2"), ("torch._utils", "_rebuild_parameter"),
-    ("torch", "Size"), ("torch", "device"), ("collections", "OrderedDict"), ("torch.serialization", "_get_layout"),
-}  # fmt: skip
-# modules whose objects lie beside the weights (optimisers, schedulers, settings): read as empty shells
+    ("torch._utils", "_rebuild_tensor"),
+    ("torch._utils", "_rebuild_tensor_v2"),
+    ("torch._utils", "_rebuild_parameter"),
+    ("torch", "Size"),
+    ("torch", "device"),
+    ("collections", "OrderedDict"),
+    ("torch.serialization", "_get_layout"),
+}
+# modules whose objects are stored beside the weights (optimisers, schedulers, settings); they are
+# read as empty placeholders
 _INERT = ("ltr", "pytracking", "torch.optim", "functools", "numpy", "easydict", "argparse")
 
-
-LEVELS, STEP = (
-    47,
-    "/step",
-)  # of quantised matrices: steps to each side, and the name of a row's step behind the matrix's
+LEVELS = 47  # quantisation steps on each side of zero, in a matrix stored as int8
+STEP_SUFFIX = "/step"  # a matrix `name` stores the step sizes of its rows under `name/step`
 
 
-class _Shell:
-    """Stands for an object that is of no interest; takes any arguments and any state."""
+class _Placeholder:
+    """Stands in for an object that is not needed; accepts any arguments and any state."""
 
     def __init__(self, *args: object, **kwargs: object) -> None: ...
 
@@ -52,13 +64,15 @@ class _Shell:
 
 
 class _Unpickler(pickle.Unpickler):
+    """Rebuilds tensors, gives placeholders for known companions, and refuses everything else."""
+
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) in _REBUILD or (
             module == "torch" and (name.endswith("Storage") or name in _DTYPES)
         ):
             return super().find_class(module, name)
         if module.split(".")[0] in _INERT or module.startswith("torch.optim"):
-            return type(name, (_Shell,), {})
+            return type(name, (_Placeholder,), {})
         raise pickle.UnpicklingError(
             f"{module}.{name} is refused: a checkpoint holds tensors and settings"
         )
@@ -67,7 +81,7 @@ class _Unpickler(pickle.Unpickler):
 _DTYPES = {
     str(d).removeprefix("torch.") for d in vars(torch).values() if isinstance(d, torch.dtype)
 }
-# torch.load takes the place of the pickle module from its caller
+# torch.load accepts a module to use in place of `pickle`
 _restricted = types.ModuleType("restricted_pickle")
 _restricted.__dict__.update(
     Unpickler=_Unpickler,
@@ -77,9 +91,11 @@ _restricted.__dict__.update(
 
 
 def read_weights(path: Path, key: str | None = None) -> dict[str, Tensor]:
-    """State dict of a file: .safetensors, or PyTorch's zip or legacy container, `key` naming the entry that holds it.
+    """State dict of a weights file: .safetensors, or PyTorch's zip or legacy container.
 
-    UsageError where the file is missing, cut off, refused, or without that entry.
+    key: the entry of a PyTorch container that holds the state dict; a container without that entry
+    must be a state dict itself. The prefix `module.` is removed from names. Raises UsageError if
+    the file is missing, truncated or refused, or if there is no state dict.
     """
     place = Place(str(path))
     if not path.is_file():
@@ -88,7 +104,7 @@ def read_weights(path: Path, key: str | None = None) -> dict[str, Tensor]:
         if path.suffix == ".safetensors":
             return dequantised(load_file(path))
         with path.open("rb") as file:
-            whole: Any = torch.load(
+            content: Any = torch.load(
                 file, map_location="cpu", pickle_module=_restricted, weights_only=False
             )
     except pickle.UnpicklingError as error:
@@ -105,19 +121,19 @@ def read_weights(path: Path, key: str | None = None) -> dict[str, Tensor]:
         raise UsageError(
             f"weights can't be read, cut off or no checkpoint ({_first_line(error)})", place
         ) from error
-    found = whole.get(key, whole) if key is not None and isinstance(whole, dict) else whole
-    if not isinstance(found, dict) or not all(isinstance(v, Tensor) for v in found.values()):
+    state = content.get(key, content) if key is not None and isinstance(content, dict) else content
+    if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
         names = (
-            ", ".join(map(str, list(whole)[:6]))
-            if isinstance(whole, dict)
-            else type(whole).__name__
+            ", ".join(map(str, list(content)[:6]))
+            if isinstance(content, dict)
+            else type(content).__name__
         )
         raise UsageError(f"no state dict {key or ''} in it; there is: {names}", place)
-    return {name.removeprefix("module."): tensor for name, tensor in found.items()}
+    return {name.removeprefix("module."): tensor for name, tensor in state.items()}
 
 
 def metadata_of(path: Path) -> dict[str, str]:
-    """What a .safetensors file says beside its weights; nothing for other containers."""
+    """The metadata of a .safetensors file; an empty dict for other containers."""
     if path.suffix != ".safetensors":
         return {}
     with safe_open(path, "pt") as file:
@@ -125,23 +141,27 @@ def metadata_of(path: Path) -> dict[str, str]:
 
 
 def quantised(state: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Matrices in LEVELS whole steps to each side, of a step per row beside them."""
+    """Quantise the matrices of a state dict to int8, from -LEVELS to LEVELS steps.
+
+    Each row of a matrix has its own step size, stored beside the matrix under `name + STEP_SUFFIX`.
+    Tensors that are not matrices stay as they are.
+    """
     out = {}
     for name, tensor in state.items():
         if tensor.ndim != 2:
             out[name] = tensor.contiguous()
             continue
         step = tensor.abs().amax(1, keepdim=True).clamp(min=1e-12) / LEVELS
-        out[name], out[name + STEP] = torch.round(tensor / step).to(torch.int8), step
+        out[name], out[name + STEP_SUFFIX] = torch.round(tensor / step).to(torch.int8), step
     return out
 
 
 def dequantised(state: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The inverse of `quantised`; other tensors as they are."""
+    """Undo `quantised`: step counts times step size. Tensors without a step stay as they are."""
     return {
-        k: v * state[k + STEP] if k + STEP in state else v
+        k: v * state[k + STEP_SUFFIX] if k + STEP_SUFFIX in state else v
         for k, v in state.items()
-        if not k.endswith(STEP)
+        if not k.endswith(STEP_SUFFIX)
     }
 
 
@@ -150,9 +170,13 @@ def _first_line(error: Exception) -> str:
 
 
 def load_strictly(network: nn.Module, weights: dict[str, Tensor], source: str) -> None:
-    """Put weights into a network. UsageError names the first key that is missing, of another shape, or unknown."""
-    wanted = network.state_dict()
-    for name, tensor in wanted.items():
+    """Load weights into a network, cast to its dtypes, and put the network into eval mode.
+
+    source: the file's path, for the message. Raises UsageError that names the first key that is
+    missing, has another shape, or is unknown to the network.
+    """
+    expected = network.state_dict()
+    for name, tensor in expected.items():
         if name not in weights:
             raise UsageError(
                 f"weights of {type(network).__name__}: {name} is missing", Place(source)
@@ -162,18 +186,18 @@ def load_strictly(network: nn.Module, weights: dict[str, Tensor], source: str) -
             raise UsageError(
                 f"weights of {type(network).__name__}: {name} has shape {shapes}", Place(source)
             )
-    if unknown := [name for name in weights if name not in wanted]:
+    if unknown := [name for name in weights if name not in expected]:
         raise UsageError(
             f"weights of {type(network).__name__}: {unknown[0]} is not a part of it", Place(source)
         )
     network.load_state_dict(
-        {name: tensor.to(wanted[name].dtype) for name, tensor in weights.items()}
+        {name: tensor.to(expected[name].dtype) for name, tensor in weights.items()}
     )
     network.eval()
 
 
 @cache
 def published(path: Path) -> str | None:
-    """What a file is, where its SHA-256 is that of a published one."""
+    """Description of a published weights file, recognised by its SHA-256; None for any other."""
     with path.open("rb") as file:
         return PUBLISHED.get(hashlib.file_digest(file, "sha256").hexdigest())

@@ -1,7 +1,9 @@
-"""Contact-GraspNet as in `cgn-pytorch`: a parallel-jaw grasp at each of 2048 points of a scene. Its weights are not shipped.
+"""Contact-GraspNet as in `cgn-pytorch`: one parallel-jaw grasp at each of 2048 points of a scene.
 
-Layers by the names of its checkpoint (PAPERS section 6). Two accidents of the original are kept, because the weights were
-trained with them: centre i also gathers point i, wherever that lies, and `set_abstract_final` leads nowhere.
+Its weights are not shipped. Layers have the names of its checkpoint (PAPERS section 6). Two
+accidents of the original are kept, because the weights were trained with them: point i always
+counts as a neighbour of centre i, wherever it lies, and the output of `set_abstract_final` is not
+used.
 """
 
 from __future__ import annotations
@@ -22,26 +24,27 @@ from dgeval.geometry import Array
 from dgeval.networks.checkpoints import load_strictly, read_weights
 from dgeval.networks.point_sets import farthest_points, neighbours_in_ball
 
+# sizes of the three set abstractions and the three feature propagations (PAPERS section 6)
 CENTRES = (2048, 512, 128)
-RADII = ((0.02, 0.04, 0.08), (0.04, 0.08, 0.16), (0.08, 0.16, 0.32))  # m
+RADII = ((0.02, 0.04, 0.08), (0.04, 0.08, 0.16), (0.08, 0.16, 0.32))  # m, of the neighbourhoods
 WIDTHS = (
     ((32, 32, 64), (64, 64, 128), (64, 96, 128)),
     ((64, 64, 128), (128, 128, 256), (128, 128, 256)),
     ((64, 64, 128), (128, 128, 256), (128, 128, 256)),
 )
-BACK: tuple[tuple[int, ...], ...] = (
-    (256, 256),
-    (256, 128),
-    (128, 128, 128),
-)  # widths on the way back
-NEIGHBOURS = 64  # at most, of each centre
-INTERPOLATED = 3  # nearest points a feature is carried over from
-WIDEST = 0.08  # m; of the Panda's gripper, for which it was trained
+PROPAGATION_WIDTHS: tuple[tuple[int, ...], ...] = ((256, 256), (256, 128), (128, 128, 128))
+NEIGHBOURS = 64  # most neighbours of a centre
+INTERPOLATION_POINTS = 3  # nearest points that a propagated feature is interpolated from
+MAX_WIDTH = 0.08  # m, opening of the Panda gripper that the network was trained for
 
 
 @dataclass(frozen=True)
 class JawGrasps:
-    """Grasps T_cloud_grasp (n, 4, 4), between the fingertips: x across the jaws, z the approach; width (n,) m; score (n,)."""
+    """Grasps of a parallel jaw in the cloud's frame.
+
+    T_cloud_grasp (n, 4, 4), float64: origin between the fingertips, m; x is the closing direction,
+    z the approach. width (n,): opening, m. score (n,): predicted success, 0 to 1.
+    """
 
     T_cloud_grasp: Array
     width: Array
@@ -49,6 +52,7 @@ class JawGrasps:
 
 
 def _layers(inputs: int, widths: tuple[int, ...]) -> nn.Sequential:
+    """Layers of the given output widths, each linear, then ReLU, then batch norm."""
     return nn.Sequential(
         *(
             nn.Sequential(nn.Linear(a, b), nn.ReLU(), nn.BatchNorm1d(b))
@@ -58,11 +62,11 @@ def _layers(inputs: int, widths: tuple[int, ...]) -> nn.Sequential:
 
 
 class ContactGraspNet(nn.Module):
-    """Scene points -> contacts, directions, widths, confidence."""
+    """The network: from scene points to contacts, directions, widths and success."""
 
     def __init__(self) -> None:
         super().__init__()
-        inputs, gathered = 0, []
+        inputs, widths_out = 0, []
         stages = []
         for widths in WIDTHS:
             scales = [
@@ -71,17 +75,17 @@ class ContactGraspNet(nn.Module):
             ]
             stages.append(nn.ModuleList(scales))
             inputs = sum(w[-1] for w in widths)
-            gathered.append(inputs)
+            widths_out.append(inputs)
         self.set_abstract_msg = nn.ModuleList(stages)
-        self.set_abstract_final = _layers(inputs, (256, 512, 1024))  # in the weights, and not used
-        carried, back = inputs, []
-        for skip, outward in zip(reversed(gathered), BACK, strict=True):
-            back.append(nn.ModuleDict({"nn": _layers(carried + skip, outward)}))
-            carried = outward[-1]
+        self.set_abstract_final = _layers(inputs, (256, 512, 1024))  # in the checkpoint, not used
+        width, back = inputs, []
+        for skip, layer_widths in zip(reversed(widths_out), PROPAGATION_WIDTHS, strict=True):
+            back.append(nn.ModuleDict({"nn": _layers(width + skip, layer_widths)}))
+            width = layer_widths[-1]
         self.feat_prop = nn.ModuleList(back)
         self.multihead = nn.ModuleList(
             nn.Sequential(
-                nn.Conv1d(3 + carried, 128, 1),
+                nn.Conv1d(3 + width, 128, 1),
                 nn.BatchNorm1d(128),
                 nn.Dropout(0.0),
                 nn.Conv1d(128, n, 1),
@@ -91,10 +95,10 @@ class ContactGraspNet(nn.Module):
 
     @torch.no_grad()
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """points (n, 3) m about their mean, z up, n >= 2048 (20,000 in training).
+        """points (n, 3) float32, m: mean subtracted, z up, n >= 2048 (20,000 in training).
 
-        Returns contacts (2048, 3), unit vectors across the jaws and of the approach (2048, 3), width (2048,) m before its
-        clipping at 0, logit of success (2048,).
+        Returns contacts (2048, 3) m; unit vectors of the closing direction and of the approach,
+        each (2048, 3); width (2048,) m, not yet clipped at 0; logit of success (2048,).
         """
         xyz, features = points, points[:, :0]
         levels: list[tuple[Tensor, Tensor]] = []
@@ -104,54 +108,66 @@ class ContactGraspNet(nn.Module):
             centres = flat[:, chosen]
             scales = []
             for scale, radius in zip(stage, radii, strict=True):  # type: ignore[call-overload]
-                near = neighbours_in_ball(flat, centres, radius, NEIGHBOURS)[0]
-                near = torch.from_numpy(np.concatenate([near, np.arange(count)[:, None]], axis=1))
-                offsets = xyz[near] - torch.from_numpy(centres[0])[:, None]
-                local = torch.cat([features[near], offsets], 2)
+                neighbours = neighbours_in_ball(flat, centres, radius, NEIGHBOURS)[0]
+                neighbours = torch.from_numpy(
+                    np.concatenate([neighbours, np.arange(count)[:, None]], axis=1)
+                )
+                offsets = xyz[neighbours] - torch.from_numpy(centres[0])[:, None]
+                local = torch.cat([features[neighbours], offsets], 2)
                 rows = scale["conv"]["local_nn"](local.reshape(-1, local.shape[2]))
-                scales.append(rows.reshape(*near.shape, -1).amax(1))
+                scales.append(rows.reshape(*neighbours.shape, -1).amax(1))
             xyz, features = torch.from_numpy(centres[0]), torch.cat(scales, 1)
             levels.append((xyz, features))
         for step, (finer, skip) in zip(self.feat_prop, reversed(levels), strict=True):
-            features = step["nn"](torch.cat([_carried_over(features, xyz, finer), skip], 1))  # type: ignore[index]
+            interpolated = _interpolated(features, xyz, finer)
+            features = step["nn"](torch.cat([interpolated, skip], 1))  # type: ignore[index]
             xyz = finer
-        whole = torch.cat([xyz, features], 1).T[None]
-        score, across, approach, width = (head(whole)[0].T for head in self.multihead)
+        inputs = torch.cat([xyz, features], 1).T[None]
+        score, across, approach, width = (head(inputs)[0].T for head in self.multihead)
         across = functional.normalize(across, dim=1)
         approach = functional.normalize(
             approach - (across * approach).sum(1, keepdim=True) * across, dim=1
         )
-        return xyz, across, approach, width[:, 0].clamp(-2 * WIDEST, WIDEST), score[:, 0]
+        return xyz, across, approach, width[:, 0].clamp(-2 * MAX_WIDTH, MAX_WIDTH), score[:, 0]
 
     def grasps(self, cloud: Array) -> JawGrasps:
-        """Grasps of a scene's points (n, 3) m, n >= 2048, its frame's z up."""
+        """Grasps on a scene's points (n, 3) m, n >= 2048, in a frame whose z points up."""
         mean = cloud.mean(axis=0)
         points = torch.from_numpy((cloud - mean).astype(np.float32))
-        at, across, approach, width, logit = (v.double().numpy() for v in self(points))
-        T = np.tile(np.eye(4), (len(at), 1, 1))
+        contacts, across, approach, width, logit = (v.double().numpy() for v in self(points))
+        T = np.tile(np.eye(4), (len(contacts), 1, 1))
         T[:, :3, 0], T[:, :3, 1], T[:, :3, 2] = across, np.cross(approach, across), approach
-        T[:, :3, 3] = at + width[:, None] / 2 * across + mean
+        T[:, :3, 3] = contacts + width[:, None] / 2 * across + mean
         return JawGrasps(T, np.maximum(width, 0.0), expit(logit))
 
 
-def _carried_over(features: Tensor, coarse: Tensor, fine: Tensor) -> Tensor:
-    """Features (c, w) of points coarse (c, 3) at points fine (f, 3): mean of the nearest three by inverse square distance."""
-    near = np.asarray(KDTree(coarse.numpy()).query(fine.numpy(), INTERPOLATED)[1], dtype=np.int64)
-    index = torch.from_numpy(near)
+def _interpolated(features: Tensor, coarse: Tensor, fine: Tensor) -> Tensor:
+    """Interpolate features (c, w) of points coarse (c, 3) to points fine (f, 3): (f, w).
+
+    The mean over the three nearest coarse points, weighted by the inverse square distance.
+    """
+    neighbours = np.asarray(
+        KDTree(coarse.numpy()).query(fine.numpy(), INTERPOLATION_POINTS)[1], dtype=np.int64
+    )
+    index = torch.from_numpy(neighbours)
     weights = 1 / ((coarse[index] - fine[:, None]) ** 2).sum(2, keepdim=True).clamp(min=1e-16)
     return (features[index] * weights).sum(1) / weights.sum(1)
 
 
 def load_contact_graspnet(path: Path | None = None) -> ContactGraspNet:
-    """Weights of a file, or of the `cgn-pytorch` that the user installed. UsageError where there is none, or they don't fit."""
+    """The network with weights from a file, or from the `cgn-pytorch` package if path is None.
+
+    Raises UsageError if the package is not installed, or if the weights can't be read or don't fit.
+    """
     if path is None:
-        found = importlib.util.find_spec("cgn_pytorch")
-        if found is None or not found.submodule_search_locations:
+        package = importlib.util.find_spec("cgn_pytorch")
+        if package is None or not package.submodule_search_locations:
             raise UsageError(
                 "Contact-GraspNet is asked for seeds and is not installed",
-                hint="pip install --no-deps cgn-pytorch (only its weights are read; mind their licence), or name a checkpoint",
+                hint="pip install --no-deps cgn-pytorch (only its weights are read; mind their "
+                "licence), or name a checkpoint",
             )
-        path = Path(found.submodule_search_locations[0]) / "checkpoints" / "current.pth"
+        path = Path(package.submodule_search_locations[0]) / "checkpoints" / "current.pth"
     network = ContactGraspNet()
     load_strictly(network, read_weights(path, "state_dict"), str(path))
     return network

@@ -1,11 +1,17 @@
-"""FFHNet (Mayer et al., ICRA 2022): five-finger grasps from one cloud. Layers by the authors' names (PAPERS section 1).
+"""FFHNet (Mayer et al., ICRA 2022): five-finger grasps from one cloud.
 
-Inputs: bps (n, basis points) m of a cloud in metres, its mean subtracted, in the camera's axes; palm rotation as a row-major
-matrix and palm translation (m) from the cloud's mean, in the same axes; the 15 joints before closing (rad), by finger from
-thumb to little: abduction, flexion, coupled flexion.
+Layers have the authors' names (PAPERS section 1).
 
-A first layer is linear in its parts, so what all candidates share, the cloud, is multiplied once: every method takes a bps
-of one row beside n candidates, and gives the same as with that row repeated.
+Inputs, all float32:
+- bps (n, basis points): distances in m from the basis points to a cloud (m) whose mean was
+  subtracted, in the camera's axes;
+- palm rotation (row-major matrix) and palm translation (m) from the cloud's mean, in the same axes;
+- the 15 joint positions before closing (rad), finger by finger from thumb to little: abduction,
+  flexion, coupled flexion.
+
+All candidates share the cloud, and the first layers are linear in the parts of their input. So the
+cloud's part is multiplied once: every method accepts a bps of one row with n candidates, and
+returns what it would return for that row repeated n times.
 """
 
 from __future__ import annotations
@@ -22,11 +28,14 @@ from torch.nn import functional
 from dgeval.geometry import Array
 from dgeval.networks.checkpoints import load_strictly, metadata_of, read_weights
 
-N_JOINTS, LATENT, SLOPE = 15, 5, 0.2
+# of the published networks (PAPERS section 1)
+N_JOINTS = 15
+LATENT = 5  # dimensions of the latent code
+SLOPE = 0.2  # of the leaky ReLU below zero
 
 
 def linear_of_parts(layer: nn.Linear, parts: Sequence[Tensor]) -> Tensor:
-    """`layer` of the parts (n or 1, k) side by side: (n, out)."""
+    """Apply `layer` to parts, each (n or 1, k), as if concatenated along axis 1: (n, out)."""
     start = 0
     out: Tensor = layer.bias
     for part in parts:
@@ -36,7 +45,7 @@ def linear_of_parts(layer: nn.Linear, parts: Sequence[Tensor]) -> Tensor:
 
 
 def normalise_parts(norm: nn.BatchNorm1d, parts: Sequence[Tensor]) -> list[Tensor]:
-    """`norm` of the parts side by side, part by part."""
+    """Apply `norm` to parts as if concatenated along axis 1; returns the normalised parts."""
     assert norm.running_mean is not None
     assert norm.running_var is not None
     start, out = 0, []
@@ -58,7 +67,10 @@ def normalise_parts(norm: nn.BatchNorm1d, parts: Sequence[Tensor]) -> list[Tenso
 
 
 class ResBlock(nn.Module):
-    """Two layers beside a linear short cut; `hidden` is 256 in the published networks, whatever the output width."""
+    """Residual block: two layers, plus a linear layer with leaky ReLU as the skip connection.
+
+    `hidden` is 256 in the published networks, whatever the output width.
+    """
 
     def __init__(self, inputs: int, outputs: int, hidden: int) -> None:
         super().__init__()
@@ -75,7 +87,10 @@ class ResBlock(nn.Module):
 
 
 def matrix_from_6d(six: Tensor) -> Tensor:
-    """(n, 6) -> rotation matrices (n, 3, 3) with columns x = a/|a|, y = z x x, z = (x x b)/|x x b|."""
+    """Rotation matrices (n, 3, 3) from six numbers each (n, 6), two vectors a and b.
+
+    The columns are x = a / |a|, y = z x x, and z = (x x b) / |x x b|.
+    """
     x = functional.normalize(six[:, :3], dim=1, eps=1e-8)
     z = functional.normalize(torch.linalg.cross(x, six[:, 3:]), dim=1, eps=1e-8)
     return torch.stack([x, torch.linalg.cross(z, x), z], dim=2)
@@ -83,7 +98,11 @@ def matrix_from_6d(six: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Palms:
-    """Candidates: rotation (n, 3, 3), translation (n, 3) m from the cloud's mean, joints (n, 15) rad."""
+    """Grasp candidates, in the cloud's axes.
+
+    rotation (n, 3, 3); translation (n, 3), m from the cloud's mean; joints (n, 15), rad before
+    closing.
+    """
 
     rotation: Tensor
     translation: Tensor
@@ -91,20 +110,23 @@ class Palms:
 
 
 def palms_of(poses: Array, joints: Array) -> Palms:
-    """Palms of poses (n, 4, 4) about the cloud's mean, and joints (n, 15)."""
+    """Palms from poses (n, 4, 4), m from the cloud's mean, and joints (n, 15), rad."""
     R, t, q = (a.astype(np.float32) for a in (poses[:, :3, :3], poses[:, :3, 3], joints))
     return Palms(torch.from_numpy(R), torch.from_numpy(t), torch.from_numpy(q))
 
 
 def poses_of(palms: Palms) -> Array:
-    """(n, 4, 4) about the cloud's mean."""
+    """Poses (n, 4, 4) float64 of palms, m from the cloud's mean."""
     T = np.tile(np.eye(4), (len(palms.joints), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = palms.rotation.double().numpy(), palms.translation.double().numpy()
     return T
 
 
 class FFHGenerator(nn.Module):
-    """Conditional variational autoencoder of grasps. Published sizes: 4096 basis points, width 512, hidden 256."""
+    """Conditional variational autoencoder of grasps.
+
+    The published sizes are the defaults: 4096 basis points, width 512, hidden 256.
+    """
 
     def __init__(self, n_bps: int = 4096, width: int = 512, hidden: int = 256) -> None:
         super().__init__()
@@ -122,7 +144,7 @@ class FFHGenerator(nn.Module):
         self.dec_transl = nn.Linear(width, 3)
 
     def encode(self, bps: Tensor, palms: Palms) -> tuple[Tensor, Tensor]:
-        """Mean and log variance (n, 5) of the latent code."""
+        """Mean and log variance of the latent code, each (n, 5)."""
         x = normalise_parts(
             self.enc_bn1, [bps, palms.rotation.flatten(1), palms.translation, palms.joints]
         )
@@ -131,7 +153,7 @@ class FFHGenerator(nn.Module):
         return self.enc_mu(second), self.enc_logvar(second)
 
     def decode(self, z: Tensor, bps: Tensor) -> Palms:
-        """Grasps of latent codes z (n, 5). Joints are what the layer gives, limits are the caller's."""
+        """Grasps from latent codes z (n, 5). The caller applies the joint limits."""
         x = [z, *normalise_parts(self.dec_bn1, [bps])]
         first = self.dec_rb1(x)
         second = self.dec_rb2([*x, first])
@@ -143,12 +165,17 @@ class FFHGenerator(nn.Module):
 
     @torch.no_grad()
     def generate(self, bps: Tensor, n: int, draws: torch.Generator) -> Palms:
-        """n grasps of one cloud, bps (1, basis points): z ~ N(0, I)."""
+        """n grasps for one cloud, bps (1, basis points), from codes z drawn from N(0, I)."""
         return self.decode(torch.randn(n, LATENT, generator=draws), bps)
 
 
 class FFHEvaluator(nn.Module):
-    """Probability that a grasp holds. The published one is blind to the fingers; `joints` adds them (ours)."""
+    """Predicts the probability that a grasp holds.
+
+    The published network does not see the joints; with `joints` they are inputs too (our
+    extension). upright: the network was trained on clouds whose z points down, not in the camera's
+    axes.
+    """
 
     def __init__(
         self, n_bps: int = 4096, width: int = 512, hidden: int = 256, joints: bool = False
@@ -156,7 +183,7 @@ class FFHEvaluator(nn.Module):
         super().__init__()
         inputs = n_bps + 9 + 3 + (N_JOINTS if joints else 0)
         self.joints = joints
-        self.upright = False  # the clouds it learned had their z down, not the camera's axes
+        self.upright = False
         self.bn1 = nn.BatchNorm1d(inputs)
         self.rb1 = ResBlock(inputs, width, hidden)
         self.rb2 = ResBlock(inputs + width, width, hidden)
@@ -164,7 +191,10 @@ class FFHEvaluator(nn.Module):
         self.out_success = nn.Linear(width, 1)
 
     def logits(self, bps: Tensor, palms: Palms, dropout: float = 0.0) -> Tensor:
-        """(n,) before the sigmoid. dropout: after each block, 0.3 in the authors' training."""
+        """Logits (n,) of success.
+
+        dropout: probability after each block, in training only; the authors trained with 0.3.
+        """
         parts = [bps, palms.rotation.flatten(1), palms.translation]
         x = normalise_parts(self.bn1, [*parts, palms.joints] if self.joints else parts)
         out = functional.dropout(self.rb1(x), dropout, self.training)
@@ -174,12 +204,15 @@ class FFHEvaluator(nn.Module):
         return logit
 
     def forward(self, bps: Tensor, palms: Palms) -> Tensor:
-        """Success (n,) in 0..1."""
+        """Probability of success (n,), 0 to 1."""
         return torch.sigmoid(self.logits(bps, palms))
 
 
 def load_generator(path: Path) -> FFHGenerator:
-    """A generator from the authors' `*_gen_net.pt` or from safetensors of any size."""
+    """A generator from the authors' `*_gen_net.pt` or from a safetensors file, of any size.
+
+    Raises UsageError if the weights can't be read or don't fit.
+    """
     weights = read_weights(path, "ffhgenerator_state_dict")
     sizes = _sizes(weights, "dec_bn1.weight", "dec_rb1")
     network = FFHGenerator(*sizes) if sizes else FFHGenerator()
@@ -188,7 +221,11 @@ def load_generator(path: Path) -> FFHGenerator:
 
 
 def load_evaluator(path: Path) -> FFHEvaluator:
-    """An evaluator from the authors' `*_eva_net.pt` or from safetensors; with fingers where its name says `fingers`."""
+    """An evaluator from the authors' `*_eva_net.pt` or from a safetensors file, of any size.
+
+    It takes joints as inputs if the file's name contains `fingers`. Raises UsageError if the
+    weights can't be read or don't fit.
+    """
     weights = read_weights(path, "ffhevaluator_state_dict")
     joints = "fingers" in path.name
     sizes = _sizes(weights, "bn1.weight", "rb1")
@@ -201,7 +238,10 @@ def load_evaluator(path: Path) -> FFHEvaluator:
 
 
 def _sizes(weights: dict[str, Tensor], norm: str, block: str) -> tuple[int, int, int] | None:
-    """Inputs of a norm, width and hidden size of a block; None where a key is missing, which strict loading names."""
+    """Number of inputs of a norm, and width and hidden size of a block, from shapes of weights.
+
+    None if a key is missing; `load_strictly` then raises and names it.
+    """
     keys = (norm, f"{block}.fc2.weight")
     if any(k not in weights for k in keys) or weights[keys[1]].ndim != 2:
         return None

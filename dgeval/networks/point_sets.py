@@ -1,6 +1,7 @@
-"""PointNet++'s operations on point sets, on the CPU: farthest points, neighbours in a ball, and crops of a cloud.
+"""PointNet++'s operations on point sets, on the CPU: farthest points, ball query, crop of a cloud.
 
-As the CUDA operations do them (PAPERS section 4.1), ties apart, which there depend on the layout of threads.
+Results equal those of the CUDA operations (PAPERS section 4.1), except for ties, which CUDA decides
+by its thread layout.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ Points = NDArray[np.float32]
 
 @njit(cache=True)
 def farthest_points(points: Points, n: int, skipped: float) -> Indices:
-    """Indices (b, n) of points (b, m, 3), each the farthest from those before it, from index 0 on.
+    """Farthest point sampling: indices (b, n) into points (b, m, 3), starting with index 0.
 
-    Points with |p|^2 <= skipped are never chosen (the CUDA code's guard against padding: 1e-3; negative: none skipped).
+    Each next index is of the point farthest from all points chosen before. Points with
+    |p|^2 <= skipped (m^2) are never chosen. The CUDA code skips up to 1e-3, against padding with
+    zeros; a negative value skips none.
     """
     b, m = points.shape[:2]
     out = np.zeros((b, n), np.int64)
@@ -28,7 +31,7 @@ def farthest_points(points: Points, n: int, skipped: float) -> Indices:
     for i in range(b):
         for k in range(m):
             x[k], y[k], z[k] = points[i, k, 0], points[i, k, 1], points[i, k, 2]
-            # below zero a point stays below every other one's distance
+            # a negative distance is never the largest, so the point is never chosen
             nearest[k] = (
                 np.float32(-1.0)
                 if x[k] * x[k] + y[k] * y[k] + z[k] * z[k] <= skipped
@@ -37,7 +40,8 @@ def farthest_points(points: Points, n: int, skipped: float) -> Indices:
         old = 0
         for j in range(1, n):
             ox, oy, oz = x[old], y[old], z[old]
-            for k in range(m):  # apart from the search for the largest, so that it runs in vectors
+            # a loop of its own, apart from the search for the largest, so that it is vectorised
+            for k in range(m):
                 d = (
                     (x[k] - ox) * (x[k] - ox)
                     + (y[k] - oy) * (y[k] - oy)
@@ -54,9 +58,10 @@ def farthest_points(points: Points, n: int, skipped: float) -> Indices:
 
 @njit(cache=True)
 def neighbours_in_ball(points: Points, centres: Points, radius: float, n: int) -> Indices:
-    """Indices (b, c, n) of the first n points (b, m, 3) nearer than radius to each centre (b, c, 3), in their order.
+    """Ball query: indices (b, c, n) of points (b, m, 3) within radius (m) of centres (b, c, 3).
 
-    Fewer are filled up with the first; none: index 0.
+    Of each centre the first n such points, by index. If there are fewer, the first one fills the
+    rest; if there are none, all indices are 0.
     """
     b, m = points.shape[:2]
     c = centres.shape[1]
@@ -65,29 +70,32 @@ def neighbours_in_ball(points: Points, centres: Points, radius: float, n: int) -
     for i in range(b):
         for j in range(c):
             x, y, z = centres[i, j, 0], centres[i, j, 1], centres[i, j, 2]
-            found = 0
+            count = 0
             for k in range(m):
                 dx, dy, dz = x - points[i, k, 0], y - points[i, k, 1], z - points[i, k, 2]
                 if dx * dx + dy * dy + dz * dz < r2:
-                    if found == 0:
+                    if count == 0:
                         out[i, j, :] = k
-                    out[i, j, found] = k
-                    found += 1
-                    if found == n:
+                    out[i, j, count] = k
+                    count += 1
+                    if count == n:
                         break
     return out
 
 
 @njit(cache=True)
-def gathered(values: Points, offsets: Points, near: Indices) -> Points:
-    """max(0, values[near] - offsets): (b, c, n, w) of values (b, m, w) and offsets (b, c, w)."""
-    b, c, n = near.shape
+def gathered(values: Points, offsets: Points, neighbours: Indices) -> Points:
+    """max(0, values of the neighbours - offset of the centre): (b, c, n, w) float32.
+
+    values (b, m, w) of the points, offsets (b, c, w) of the centres, neighbours (b, c, n) indices.
+    """
+    b, c, n = neighbours.shape
     w = values.shape[2]
     out = np.empty((b, c, n, w), np.float32)
     for i in range(b):
         for j in range(c):
             for k in range(n):
-                row = near[i, j, k]
+                row = neighbours[i, j, k]
                 for q in range(w):
                     out[i, j, k, q] = max(values[i, row, q] - offsets[i, j, q], np.float32(0.0))
     return out
@@ -97,9 +105,12 @@ def gathered(values: Points, offsets: Points, near: Indices) -> Points:
 def crop(
     points: Array, T_grasp_cloud: Array, low: Array, high: Array, n: int
 ) -> tuple[Points, Indices]:
-    """The first n points (m, 3) inside a box low..high (3,) of each grasp's frame, (b, n, 3), and how many there were (b,).
+    """Crop points (m, 3) to the box from low to high, each (3,) m, of each grasp's frame.
 
-    Fewer are repeated from the first on; none leaves zeros. Shuffle the points before, or the first are from one corner.
+    T_grasp_cloud (b, 4, 4). Returns the first n points in the box, in the grasp's frame,
+    (b, n, 3) float32 m, and how many of them there are (b,), at most n. If there are fewer than n,
+    they are repeated in order; if there are none, all are zero. Shuffle the points first, or the
+    first n may all lie in one corner.
     """
     b = len(T_grasp_cloud)
     out = np.zeros((b, n, 3), np.float32)
@@ -107,7 +118,7 @@ def crop(
     p = np.empty(3)
     for i in range(b):
         T = T_grasp_cloud[i]
-        found = 0
+        count = 0
         for k in range(len(points)):
             inside = True
             for r in range(3):
@@ -122,12 +133,12 @@ def crop(
                     break
             if inside:
                 for r in range(3):
-                    out[i, found, r] = p[r]
-                found += 1
-                if found == n:
+                    out[i, count, r] = p[r]
+                count += 1
+                if count == n:
                     break
-        counts[i] = found
-        if found:
-            for k in range(found, n):
-                out[i, k] = out[i, k % found]
+        counts[i] = count
+        if count:
+            for k in range(count, n):
+                out[i, k] = out[i, k % count]
     return out, counts

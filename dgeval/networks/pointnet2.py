@@ -1,7 +1,8 @@
-"""Grasp evaluators of GraspNet's type: PointNet++ on the scene's points and the gripper's, told apart by a label.
+"""Grasp evaluators of 6-DoF GraspNet's type: PointNet++ on points of the scene and of the gripper.
 
-Layers by the names of the public PyTorch 6-DoF GraspNet (PAPERS section 4.1), whose checkpoints load; VFAS-Grasp's evaluator
-(section 4.2) is the same network at other sizes, and with the other labels.
+A label per point tells scene from gripper. Layers have the names of the public PyTorch 6-DoF
+GraspNet (PAPERS section 4.1), whose checkpoints load. VFAS-Grasp's evaluator (section 4.2) is the
+same network with other sizes and the opposite labels.
 """
 
 from __future__ import annotations
@@ -20,18 +21,21 @@ from torch.nn import functional
 from dgeval.networks.checkpoints import load_strictly, metadata_of, read_weights
 from dgeval.networks.point_sets import farthest_points, gathered, neighbours_in_ball
 
-CROP_LOW, CROP_HIGH = (
-    np.array([-0.10, -0.05, -0.10]),
-    np.array([0.10, 0.05, 0.03]),
-)  # m, grasp frame (VFAS section III-B)
+# m, corners of the box that the scene is cropped to, in the grasp frame (VFAS section III-B)
+CROP_LOW = np.array([-0.10, -0.05, -0.10])
+CROP_HIGH = np.array([0.10, 0.05, 0.03])
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the weights' shapes don't say. centres, neighbours, radii (m) of the first two set abstractions.
+    """Settings of an evaluator that the shapes of its weights don't show.
 
-    labels: of scene and gripper; jsll 1/0 (the public weights), vfas 0/1. centre: points are given in the grasp's frame, or
-    about the scene's mean. skipped: |p|^2 in m^2 within which no centre lies. scene, gripper: points of each.
+    - scale: factor on the public layer widths.
+    - centres, neighbours, radii (m): of the first two set abstractions.
+    - labels: of scene and gripper points; "jsll" 1 and 0 (the public weights), "vfas" 0 and 1.
+    - centre: points are given in the grasp's frame ("grasp"), or from the scene's mean ("mean").
+    - skipped: points with |p|^2 up to this, m^2, are never chosen as centres.
+    - scene, gripper: number of points of each.
     """
 
     scale: float = 1.0
@@ -45,12 +49,17 @@ class Sizes:
     gripper: int = 6
 
 
-PUBLIC = Sizes()
+PUBLIC = Sizes()  # of the public weights (PAPERS section 4.1)
+# of the shipped evaluator; the VFAS paper does not give these numbers (PAPERS section 4.2)
 VFAS = Sizes(0.5, (64, 16), (24, 24), (0.025, 0.05), "vfas", "grasp", -1.0, 512, 64)
 
 
 class SetAbstraction(nn.Module):
-    """Points gathered round centres, a small network on each, the largest of each channel. Convolutions 1x1 without bias."""
+    """PointNet++'s set abstraction: features of neighbourhoods from features of points.
+
+    Gathers the points round each centre, applies a small network to each of them, and takes the
+    largest value of each channel. The layers are 1x1 convolutions without bias.
+    """
 
     def __init__(self, inputs: int, widths: tuple[int, int, int]) -> None:
         super().__init__()
@@ -60,7 +69,10 @@ class SetAbstraction(nn.Module):
         self.mlps = nn.ModuleList([nn.Sequential(*layers)])
 
     def _layer(self, k: int) -> tuple[Tensor, Tensor | None, nn.BatchNorm2d]:
-        """Weight, bias and norm of a layer; in use the norm is a factor and an offset, and is put into the first two."""
+        """Weight, bias and batch norm of layer k.
+
+        In eval mode the norm is a factor and an offset, already included in weight and bias.
+        """
         conv, norm = self.mlps[0][3 * k], self.mlps[0][3 * k + 1]  # type: ignore[index]
         weight = conv.weight[:, :, 0, 0]
         if self.training:
@@ -69,26 +81,33 @@ class SetAbstraction(nn.Module):
         return weight * factor[:, None], norm.bias - norm.running_mean * factor, norm
 
     def forward(
-        self, xyz: Tensor, features: Tensor | None, near: Tensor | None, centres: Tensor | None
+        self,
+        xyz: Tensor,
+        features: Tensor | None,
+        neighbours: Tensor | None,
+        centres: Tensor | None,
     ) -> Tensor:
-        """xyz (b, n, 3), features (b, n, c); near (b, m, k) the neighbours of centres (b, m, 3), or None: all, no centre.
+        """Features (b, m, width) of m neighbourhoods.
 
-        Returns (b, m, width). The first layer is linear: it is applied once to each point, and once to each centre.
+        xyz (b, n, 3) m and features (b, n, c) of points; neighbours (b, m, k), indices of points,
+        of centres (b, m, 3). If neighbours and centres are None, all points form one neighbourhood
+        without a centre. The first layer is linear, so it is applied once to each point and once to
+        each centre, not to each pair.
         """
-        whole = xyz if features is None else torch.cat([xyz, features], 2)
+        inputs = xyz if features is None else torch.cat([xyz, features], 2)
         weight, bias, norm = self._layer(0)
-        x = functional.linear(whole, weight, bias)
-        if near is None or centres is None:
+        x = functional.linear(inputs, weight, bias)
+        if neighbours is None or centres is None:
             x = x[:, None]
         elif not self.training:
-            # the same in one pass over the memory, the rectifier included
+            # as in training, but in one pass over the memory, which includes the ReLU
             offsets = functional.linear(centres, weight[:, :3])
             x = torch.from_numpy(
-                gathered(x.detach().numpy(), offsets.detach().numpy(), near.numpy())
+                gathered(x.detach().numpy(), offsets.detach().numpy(), neighbours.numpy())
             )
         else:
-            b, m, k = near.shape
-            flat = (near + torch.arange(b)[:, None, None] * xyz.shape[1]).reshape(-1)
+            b, m, k = neighbours.shape
+            flat = (neighbours + torch.arange(b)[:, None, None] * xyz.shape[1]).reshape(-1)
             x = x.reshape(-1, x.shape[2]).index_select(0, flat).reshape(b, m, k, -1)
             x = x - functional.linear(centres, weight[:, :3])[:, :, None]
         shape = x.shape
@@ -103,7 +122,7 @@ class SetAbstraction(nn.Module):
 
 
 def _normalised(norm: nn.BatchNorm2d, x: Tensor) -> Tensor:
-    """(rows, channels): all of a channel's values, whatever pixel they are of."""
+    """Apply a 2D batch norm to x (rows, channels), with statistics over all rows of a channel."""
     if norm.training and norm.num_batches_tracked is not None:
         norm.num_batches_tracked.add_(1)
     momentum = norm.momentum or 0.1
@@ -120,7 +139,7 @@ def _normalised(norm: nn.BatchNorm2d, x: Tensor) -> Tensor:
 
 
 class GraspEvaluator(nn.Module):
-    """Success and confidence of grasps from scene and gripper points. Published sizes by default."""
+    """Predicts success and confidence of grasps from scene and gripper points."""
 
     def __init__(self, sizes: Sizes = PUBLIC) -> None:
         super().__init__()
@@ -138,7 +157,10 @@ class GraspEvaluator(nn.Module):
         self.confidence = nn.Linear(w[4], 1)
 
     def forward(self, scene: Tensor, gripper: Tensor) -> tuple[Tensor, Tensor]:
-        """scene (b, n, 3) and gripper (b, m, 3), m, in one frame -> logits (b, 1) and confidence (b, 1) in 0..1."""
+        """Logits of success (b, 1) and confidence (b, 1), 0 to 1.
+
+        scene (b, n, 3) and gripper (b, m, 3): points in one frame, m.
+        """
         s = self.sizes
         xyz = torch.cat([scene, gripper], 1)
         of_scene, of_gripper = (1.0, 0.0) if s.labels == "jsll" else (0.0, 1.0)
@@ -151,23 +173,26 @@ class GraspEvaluator(nn.Module):
         )
         features = torch.cat([xyz, label], 2)
         stages: Any = self.evaluator[0]
-        for stage, count, wanted, radius in zip(
+        for stage, count, most, radius in zip(
             stages[:2], s.centres, s.neighbours, s.radii, strict=True
         ):
             points = xyz.detach().numpy()
             chosen = farthest_points(points, count, s.skipped)
-            middle = np.take_along_axis(points, chosen[:, :, None], 1)
-            near = torch.from_numpy(neighbours_in_ball(points, middle, radius, wanted))
-            centres = torch.from_numpy(middle)
-            features = stage(xyz, features, near, centres)
+            centre_points = np.take_along_axis(points, chosen[:, :, None], 1)
+            neighbours = torch.from_numpy(neighbours_in_ball(points, centre_points, radius, most))
+            centres = torch.from_numpy(centre_points)
+            features = stage(xyz, features, neighbours, centres)
             xyz = centres
-        whole = stages[2](xyz, features, None, None)[:, 0]
-        dense = self.evaluator[1](whole)
+        pooled = stages[2](xyz, features, None, None)[:, 0]
+        dense = self.evaluator[1](pooled)
         return self.predictions_logits(dense), torch.sigmoid(self.confidence(dense))
 
     @torch.no_grad()
     def success(self, scene: Tensor, gripper: Tensor, batch: int = 16) -> Tensor:
-        """Probability (b,) that each grasp holds; gripper of one row serves all."""
+        """Probability (b,) that each grasp holds.
+
+        scene (b, n, 3) and gripper (b or 1, m, 3), m. batch: grasps computed at a time.
+        """
         out = []
         for k in range(0, len(scene), batch):
             part = scene[k : k + batch]
@@ -179,7 +204,7 @@ class GraspEvaluator(nn.Module):
 
 
 def save_evaluator(network: GraspEvaluator, path: Path) -> None:
-    """Matrices in half precision; sizes beside the weights."""
+    """Write a safetensors file: matrices in half precision, `sizes` in the metadata."""
     state = {
         k: (v.half() if v.ndim > 1 else v).contiguous() for k, v in network.state_dict().items()
     }
@@ -187,10 +212,13 @@ def save_evaluator(network: GraspEvaluator, path: Path) -> None:
 
 
 def load_evaluator(path: Path) -> GraspEvaluator:
-    """A public checkpoint (`latest_net.pth` of 6-DoF GraspNet) or safetensors of `save_evaluator`."""
+    """An evaluator from a file of `save_evaluator`, or from 6-DoF GraspNet's `latest_net.pth`.
+
+    Raises UsageError if the weights can't be read or don't fit.
+    """
     weights = read_weights(path, "model_state_dict")
-    said = json.loads(metadata_of(path).get("sizes", "{}"))
-    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in said.items()}
+    stored = json.loads(metadata_of(path).get("sizes", "{}"))
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in stored.items()}
     network = GraspEvaluator(replace(PUBLIC, **values))
     load_strictly(network, weights, str(path))
     return network

@@ -1,3 +1,3 @@
-"""Training data from physics and from a camera model, and the training of the networks that ship with dgeval."""
+"""Training of the networks that ship with dgeval, on grasps tried in physics and modelled views."""
 
-import dgeval.worlds  # noqa: F401  chooses how MuJoCo draws, before it is first loaded
+import dgeval.worlds  # noqa: F401  selects MuJoCo's rendering backend before MuJoCo loads

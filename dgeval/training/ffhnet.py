@@ -1,4 +1,8 @@
-"""Training of FFHNet on grasps tried in physics: published losses, whole objects held out, resumable, the same twice."""
+"""Training of FFHNet on grasps tried in physics, with the published losses.
+
+Whole objects are held out. A run can be resumed, and two runs of the same settings give the same
+weights.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +32,13 @@ HAND = hand_for("ffhnet")
 Kind = Literal["generator", "evaluator", "evaluator_fingers"]
 # weights of the generator's loss (PAPERS section 1.5): translation, rotation, joints, KL
 W_T, W_R, W_J, W_KL = 100.0, 1.0, 10.0, 0.005
-DROPOUT = 0.05  # the authors' 0.3 leaves networks of this size short of their own training data (AUC 0.78 of 0.94)
-CLEARANCE = 0.02  # m above an object's top: a hand whose grasp centre is higher holds nothing
-# shares of an evaluator's batch: held, tried and failed, overlapping, the authors' hard negatives, hands that are far off
-# and hands on their way to a grasp, drawn back along their fingers
+# With the authors' 0.3, networks of this size fit their own training data badly: AUC 0.78, not
+# 0.94.
+DROPOUT = 0.05
+CLEARANCE = 0.02  # m above an object's top; a hand whose grasp centre is higher holds nothing
+# Shares of an evaluator's batch. held, failed: tried in physics; overlapping: not tried, the hand
+# lay in the object; hard: the authors' hard negatives; retreated: hands on their way to a grasp,
+# moved back along their fingers; far: hands above the object.
 SHARES = {
     "held": 0.40,
     "failed": 0.20,
@@ -40,26 +47,36 @@ SHARES = {
     "retreated": 0.12,
     "far": 0.05,
 }
-# the same once it has an evaluator's own choices
+# The same for tuning, when the data also hold the evaluator's own choices, tried in physics:
+# chosen_held, chosen_failed.
 TUNE_SHARES = {
-    "held": 0.20, "chosen_held": 0.22, "failed": 0.12, "chosen_failed": 0.18, "overlapping": 0.12, "hard": 0.05,
-    "retreated": 0.08, "far": 0.03,
-}  # fmt: skip
-RETREAT_M = (0.06, 0.2)  # nearer ones are tried in physics
-HARD_M, HARD_RAD = 0.03, 0.6  # hard negatives: every axis of a positive moved by this, signs random
+    "held": 0.20,
+    "chosen_held": 0.22,
+    "failed": 0.12,
+    "chosen_failed": 0.18,
+    "overlapping": 0.12,
+    "hard": 0.05,
+    "retreated": 0.08,
+    "far": 0.03,
+}
+# m, least and greatest retreat; hands nearer to a grasp are tried in physics
+RETREAT_M = (0.06, 0.2)
+# Hard negatives are held grasps moved by this on every axis, m and rad, signs random
+# (PAPERS section 1.5).
+HARD_M, HARD_RAD = 0.03, 0.6
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Of a training run; everything its result depends on besides the grasps."""
+    """Settings of a training run, everything that its result depends on besides the grasps."""
 
-    n_bps: int = 512
+    n_bps: int = 512  # basis points
     width: int = 256
     hidden: int = 128
-    views: int = 100
-    held_out: int = 9  # the last so many objects choose nothing but the calibration
+    views: int = 100  # per object
+    held_out: int = 9  # objects, the last ones, for calibration and measurement only
     batch: int = 512
-    steps: int = 6500  # of an evaluator
+    steps: int = 6500  # of an evaluator, before tuning
     generator_steps: int = 8000
     tune_steps: int = 2500
     tune_rate: float = 5e-4
@@ -70,7 +87,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class ObjectData:
-    """One object: bps (v, n), T_view_object (v, 4, 4); grasps T_object_palm (g, 4, 4), joints (g, 15); rows of each kind."""
+    """Views and grasps of one object.
+
+    - bps (v, n), T_view_object (v, 4, 4): of v views, as in `View`.
+    - T_object_palm (g, 4, 4) m, joints (g, 15) rad: of g grasps.
+    - rows: indices of the grasps that held, failed, overlapping, chosen_held, chosen_failed.
+    - top: z of the object's highest point in its frame, m.
+    """
 
     name: str
     bps: Tensor
@@ -78,7 +101,7 @@ class ObjectData:
     T_object_palm: Array
     joints: Array
     rows: dict[str, NDArray[np.intp]]
-    top: float  # m, of the object in its frame
+    top: float
 
 
 def load_objects(
@@ -89,10 +112,14 @@ def load_objects(
     proposed: Path | None = None,
     chosen: Path | None = None,
 ) -> list[ObjectData]:
-    """Grasps of procedural objects 0 … count - 1 with views of them. UsageError where there are none that held.
+    """Grasps and views of procedural objects 0 to count - 1.
 
-    proposed: folder of a generator's proposals for the same objects, added to the sampled grasps. chosen: folder of an
-    evaluator's choices, of these objects or of others, which follow.
+    - folder: of files with sampled grasps, one per object.
+    - proposed: folder of a generator's proposals for the same objects, added to the sampled grasps.
+    - chosen: folder of an evaluator's choices. Objects from `count` on that have a file there
+      follow in the result.
+
+    Raises UsageError if a file is missing in `folder`, or if no grasp held.
     """
     out = []
     others = (
@@ -101,11 +128,11 @@ def load_objects(
         else sorted(k for k in map(_index_of, chosen.glob("*.npz")) if k >= count)
     )
     for index in [*range(count), *others]:
-        thing = procedural_object(index, seed)
-        path = folder / f"{thing.name}.npz"
+        object_model = procedural_object(index, seed)
+        path = folder / f"{object_model.name}.npz"
         if index < count and not path.is_file():
             raise UsageError(
-                f"no grasps of {thing.name} in {folder}",
+                f"no grasps of {object_model.name} in {folder}",
                 hint="make them: dgeval train ffhnet --out DIR",
             )
         files = (
@@ -114,27 +141,27 @@ def load_objects(
         general = len(files)
         if chosen is not None and (chosen / path.name).is_file():
             files.append(chosen / path.name)
-        found = [read_grasps(file) for file in files]
+        grasps = [read_grasps(file) for file in files]
         fields = ("T_object_palm", "joints", "held", "overlapping")
-        data = GraspData(*(np.concatenate([getattr(g, f) for g in found]) for f in fields))
-        own = np.repeat(np.arange(len(found)) >= general, [len(g.held) for g in found])
-        views = views_of(thing, settings.views, settings.n_bps, settings.seed)
+        data = GraspData(*(np.concatenate([getattr(g, f) for g in grasps]) for f in fields))
+        is_chosen = np.repeat(np.arange(len(grasps)) >= general, [len(g.held) for g in grasps])
+        views = views_of(object_model, settings.views, settings.n_bps, settings.seed)
         rows = {
-            "held": np.flatnonzero(data.held & ~own),
-            "failed": np.flatnonzero(~data.held & ~data.overlapping & ~own),
+            "held": np.flatnonzero(data.held & ~is_chosen),
+            "failed": np.flatnonzero(~data.held & ~data.overlapping & ~is_chosen),
             "overlapping": np.flatnonzero(data.overlapping),
-            "chosen_held": np.flatnonzero(data.held & own),
-            "chosen_failed": np.flatnonzero(~data.held & own),
+            "chosen_held": np.flatnonzero(data.held & is_chosen),
+            "chosen_failed": np.flatnonzero(~data.held & is_chosen),
         }
         out.append(
             ObjectData(
-                thing.name,
+                object_model.name,
                 torch.from_numpy(np.stack([v.bps for v in views])),
                 np.stack([v.T_view_object for v in views]),
                 data.T_object_palm,
                 data.joints,
                 rows,
-                -min(p.lowest(np.array([0.0, 0.0, -1.0])) for p in thing.parts),
+                -min(p.lowest(np.array([0.0, 0.0, -1.0])) for p in object_model.parts),
             )
         )
     if not any(len(o.rows["held"]) for o in out):
@@ -143,48 +170,51 @@ def load_objects(
 
 
 def _index_of(path: Path) -> int:
-    """Of the procedural object whose file this is."""
+    """Index of the procedural object that a file is named after."""
     return int(path.stem.rsplit("_", 1)[1])
 
 
 def batch_of(
     objects: list[ObjectData], n: int, shares: dict[str, float], rng: np.random.Generator
 ) -> tuple[Tensor, Palms, Tensor]:
-    """n grasps of random objects and views: bps (n, k), palms in the view's frame, label (n,) 1 where it held."""
+    """n grasps of random objects and views, with kinds drawn by `shares`.
+
+    Returns bps (n, k), palms in the view's frame, and label (n,), 1 if the grasp held and 0 if not.
+    """
     kinds = rng.choice(list(shares), n, p=np.array(list(shares.values())))
     source = {"hard": "held", "far": "held", "retreated": "held"}
-    able = {k: [o for o in objects if len(o.rows[source.get(k, k)])] for k in shares}
+    with_grasps = {k: [o for o in objects if len(o.rows[source.get(k, k)])] for k in shares}
     bps, poses, joints = [], np.empty((n, 4, 4)), np.empty((n, 15))
     for i, kind in enumerate(kinds):
-        thing = able[kind][rng.integers(len(able[kind]))]
-        view = rng.integers(len(thing.bps))
-        row = rng.choice(thing.rows[source.get(kind, kind)])
-        T = thing.T_object_palm[row]
+        owner = with_grasps[kind][rng.integers(len(with_grasps[kind]))]
+        view = rng.integers(len(owner.bps))
+        row = rng.choice(owner.rows[source.get(kind, kind)])
+        T = owner.T_object_palm[row]
         if kind == "far":
-            T = _lifted_off(T, thing.top, rng)
+            T = _raised_above(T, owner.top, rng)
         elif kind == "retreated":
             back = np.eye(4)
             back[2, 3] = -rng.uniform(*RETREAT_M)  # the hand's z runs along its fingers
             T = T @ invert(HAND.T_hand_palm) @ back @ HAND.T_hand_palm
-        T = thing.T_view_object[view] @ T
+        T = owner.T_view_object[view] @ T
         if kind == "hard":
-            T = _hard(T, rng)
-        bps.append(thing.bps[view])
-        poses[i], joints[i] = T, thing.joints[row]
+            T = _hard_negative(T, rng)
+        bps.append(owner.bps[view])
+        poses[i], joints[i] = T, owner.joints[row]
     label = np.isin(kinds, ("held", "chosen_held")).astype(np.float32)
     return torch.stack(bps), palms_of(poses, joints), torch.from_numpy(label)
 
 
-def _lifted_off(T_object_palm: Array, top: float, rng: np.random.Generator) -> Array:
-    """The palm raised until the grasp centre is over the object, and up to 20 cm more."""
+def _raised_above(T_object_palm: Array, top: float, rng: np.random.Generator) -> Array:
+    """T_object_palm raised until the grasp centre is above the object, and up to 20 cm more."""
     T = T_object_palm.copy()
     centre = (T @ invert(HAND.T_hand_palm) @ np.append(HAND.centre, 1.0))[2]
     T[2, 3] += max(top + CLEARANCE - centre, 0.0) + rng.uniform(0, 0.2)
     return T
 
 
-def _hard(T: Array, rng: np.random.Generator) -> Array:
-    """Every translation axis and every Euler angle (fixed axes) moved by a fixed amount, signs random."""
+def _hard_negative(T: Array, rng: np.random.Generator) -> Array:
+    """T moved by HARD_M on every axis and HARD_RAD in each fixed-axis Euler angle, random signs."""
     from scipy.spatial.transform import Rotation
 
     out = T.copy()
@@ -197,7 +227,10 @@ def _hard(T: Array, rng: np.random.Generator) -> Array:
 def generator_loss(
     network: FFHGenerator, bps: Tensor, palms: Palms, z: Tensor
 ) -> tuple[Tensor, dict[str, float]]:
-    """The published loss, with z (n, 5) standard normal draws for the code; and its parts."""
+    """The published loss of the generator, and its terms by name.
+
+    z (n, 5): standard normal draws, from which the latent code is made.
+    """
     mu, logvar = network.encode(bps, palms)
     out = network.decode(mu + z * torch.exp(0.5 * logvar), bps)
     terms = {
@@ -212,13 +245,13 @@ def generator_loss(
 def evaluator_loss(
     network: FFHEvaluator, bps: Tensor, palms: Palms, label: Tensor
 ) -> tuple[Tensor, dict[str, float]]:
-    """The published loss for label (n,), and the cross entropy in it."""
+    """The published loss of an evaluator for label (n,), and its cross entropy."""
     loss = functional.binary_cross_entropy_with_logits(network.logits(bps, palms, DROPOUT), label)
     return 10 * loss, {"BCE": float(loss.detach())}
 
 
 def new_network(kind: Kind, settings: Settings) -> FFHGenerator | FFHEvaluator:
-    """With weights drawn from the seed."""
+    """A network of the given kind and sizes, with weights drawn from the seed."""
     torch.manual_seed(settings.seed)
     size = settings.n_bps, settings.width, settings.hidden
     return (
@@ -235,9 +268,10 @@ def train(
     checkpoint: Path,
     progress: Callable[[int, dict[str, float]], None],
 ) -> FFHGenerator | FFHEvaluator:
-    """Train from the start or from the checkpoint that a run of the same settings left; progress(step, loss terms).
+    """Train a network on objects, and return it. progress(step, loss terms).
 
-    Draws depend on the step alone, so a resumed run ends like an uninterrupted one.
+    Training resumes from `checkpoint` if it is of the same settings. Draws depend on the step
+    alone, so a resumed run ends like an uninterrupted one.
     """
     network = new_network(kind, settings)
     steps = settings.generator_steps if kind == "generator" else settings.steps
@@ -264,9 +298,10 @@ def tune(
     checkpoint: Path,
     progress: Callable[[int, dict[str, float]], None],
 ) -> None:
-    """Go on training an evaluator, in place, with its own choices among the grasps.
+    """Train an evaluator further, in place, with its own choices among the grasps.
 
-    What it takes from the cloud's basis point set stays as it is: training that too gained 0.01 of ROC-AUC.
+    The weights on the cloud's basis point set stay fixed: training them too gained only 0.01 of
+    ROC-AUC.
     """
     for block, before in (
         (network.rb1, 0),
@@ -298,7 +333,11 @@ def tune(
 def calibrate(
     network: FFHEvaluator, bps: Tensor, palms: Palms, held: Tensor
 ) -> tuple[float, float]:
-    """Platt's scaling, put into the last layer: factor and offset of the logit. Grasps of objects that trained nothing."""
+    """Calibrate an evaluator, in place, by Platt's scaling of its logit; returns factor and offset.
+
+    The scaling is included in the last layer. bps, palms and held (n,) are of objects that the
+    evaluator was not trained on.
+    """
     with torch.no_grad():
         logits = network.logits(bps, palms)
     scale = nn.Parameter(torch.tensor([1.0, 0.0]))

@@ -1,9 +1,10 @@
-"""Five-finger grasps of procedural objects, tried in physics: what FFHNet learns from.
+"""Five-finger grasps of procedural objects, tried in physics: the training data of FFHNet.
 
-An object stands on a table; the hand flies to a pose, closes, lifts, and is shaken. Poses come from a random sampler
-(SIMULATION section 6a) and from perturbing those that held; poses in which the open hand overlaps the object are kept as
-failures without a try. Later an evaluator learns from what it would choose itself: the highest scores of thousands of
-candidates are where its own mistakes are.
+An object stands on a table. The hand flies to a pose, closes, lifts, and is shaken. Poses come from
+a random sampler (SIMULATION section 6a) and from perturbing grasps that held. A pose in which the
+open hand overlaps the object is a failure and is not tried. Later an evaluator also learns from
+grasps that it would choose itself, because its mistakes are among the highest scores of thousands
+of candidates.
 """
 
 from __future__ import annotations
@@ -37,28 +38,32 @@ from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_po
 
 HAND = hand_for("ffhnet")
 
-VERSION = 2  # of what is drawn below: files of another one are made again
-NOISE_SCALES = (
-    (0.003, np.radians(3)),
-    (0.008, np.radians(8)),
-    (0.016, np.radians(16)),
-)  # m, rad; perturbed positives
-APPROACH_M, APPROACH_SD, APPROACH_RAD = (
-    (0.01, 0.10),
-    0.008,
-    np.radians(6),
-)  # back along the fingers, and off to the side
-OVERLAP = 0.002  # m; hand and object deeper in each other than this: no pose a robot could be in
-LIGHT_TOUCH = 0.004  # m; proposals may touch by so much, as hands do that arrive
-PROPOSED_VIEWS = 8
-MOST_DRAWN = 15_000  # candidates per object
-CHOSEN_VIEWS, CHOSEN_DRAWS = 8, 8  # of an object, from which an evaluator chooses
-BEST_SCORED = 300  # candidates that are looked at
+VERSION = 2  # of the sampling below; files of another version are made again
+# standard deviations (m, rad) of the perturbations of grasps that held
+NOISE_SCALES = ((0.003, np.radians(3)), (0.008, np.radians(8)), (0.016, np.radians(16)))
+# of hands that have not arrived at a grasp yet:
+APPROACH_M = (0.01, 0.10)  # m, least and greatest distance back along the fingers
+APPROACH_SD = 0.008  # m, standard deviation on each axis, on top of that
+APPROACH_RAD = np.radians(6)  # rad, standard deviation of the rotation on each axis
+MIN_OVERLAP = 0.002  # m; a hand deeper in the object than this is in a pose no robot can be in
+# m; a proposed hand may penetrate object or table by this much, as a hand does that arrives
+MAX_PENETRATION = 0.004
+PROPOSED_VIEWS = 8  # per object, for which a generator's proposals are tried
+MAX_CANDIDATES = 15_000  # random candidates per object
+CHOSEN_VIEWS = 8  # per object, for which an evaluator's choices are tried
+CHOSEN_DRAWS = 8  # times 256 candidates per view, which the evaluator chooses from
+BEST_SCORED = 300  # candidates with the highest scores; the free ones among them may be chosen
 
 
 @dataclass(frozen=True)
 class GraspData:
-    """Tried grasps of one object: T_object_palm (n, 4, 4), joints (n, 15) rad before closing, held (n,), overlapping (n,)."""
+    """Tried grasps of one object.
+
+    - T_object_palm (n, 4, 4), m.
+    - joints (n, 15): before closing, rad.
+    - held (n,): whether the hand held the object through lift and shake.
+    - overlapping (n,): whether the hand before closing lay in object or table; not tried.
+    """
 
     T_object_palm: Array
     joints: Array
@@ -66,10 +71,13 @@ class GraspData:
     overlapping: NDArray[np.bool_]
 
 
-def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
-    """About `tried` grasps simulated, a third of them drawn at random and the others round those that held."""
-    world = FlyingHand(thing)
-    T_object_base = invert(at(0.5, 0.0, thing.rest_height()))
+def make_grasps(object_model: ObjectModel, seed: int, tried: int) -> GraspData:
+    """Try about `tried` grasps of an object: a third random, the others near those that held.
+
+    Besides these come overlapping hands, and hands that have not arrived yet at a grasp that held.
+    """
+    world = FlyingHand(object_model)
+    T_object_base = invert(at(0.5, 0.0, object_model.rest_height()))
     rows: list[tuple[Array, Array, bool, bool]] = []
 
     def attempt(T: Array, preshape: Array) -> bool:
@@ -78,36 +86,38 @@ def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
         rows.append((T, preshape, held, False))
         return held
 
-    good: list[tuple[Array, Array]] = []
+    held_grasps: list[tuple[Array, Array]] = []
     overlaps = 0
-    for k in range(MOST_DRAWN):
+    for k in range(MAX_CANDIDATES):
         if len(rows) - overlaps >= tried // 3:
             break
-        T, preshape = candidate(generator(seed, f"grasps/{thing.name}", k), thing)
+        T, preshape = candidate(generator(seed, f"grasps/{object_model.name}", k), object_model)
         world.put(T, preshape)
         if world.touches():
-            if overlaps < tried // 4 and world.penetration() > OVERLAP:
+            if overlaps < tried // 4 and world.penetration() > MIN_OVERLAP:
                 rows.append((T, preshape, False, True))
                 overlaps += 1
             continue
         if attempt(T, preshape):
-            good.append((T, preshape))
+            held_grasps.append((T, preshape))
     k = 0
-    while good and len(rows) - overlaps < tried and k < 20 * tried:
-        rng = generator(seed, f"perturbed/{thing.name}", k)
-        T, preshape = good[int(rng.integers(len(good)))]
+    while held_grasps and len(rows) - overlaps < tried and k < 20 * tried:
+        rng = generator(seed, f"perturbed/{object_model.name}", k)
+        T, preshape = held_grasps[int(rng.integers(len(held_grasps)))]
         metres, radians = NOISE_SCALES[k % len(NOISE_SCALES)]
         T = T @ increment(np.concatenate([rng.normal(0, metres, 3), rng.normal(0, radians, 3)]))
         k += 1
         world.put(T, preshape)
         if world.touches():
-            if overlaps < tried // 2 and world.penetration() > OVERLAP:
+            if overlaps < tried // 2 and world.penetration() > MIN_OVERLAP:
                 rows.append((T, preshape, False, True))
                 overlaps += 1
         elif attempt(T, preshape):
-            good.append((T, preshape))
-    for k in range(5 * tried // 8 if good else 0):
-        T, preshape = on_the_way(good, generator(seed, f"approach/{thing.name}", k))
+            held_grasps.append((T, preshape))
+    for k in range(5 * tried // 8 if held_grasps else 0):
+        T, preshape = partway_grasp(
+            held_grasps, generator(seed, f"approach/{object_model.name}", k)
+        )
         world.put(T, preshape)
         if not world.touches():
             attempt(T, preshape)
@@ -119,30 +129,39 @@ def make_grasps(thing: ObjectModel, seed: int, tried: int) -> GraspData:
     )
 
 
-def on_the_way(good: list[tuple[Array, Array]], rng: np.random.Generator) -> tuple[Array, Array]:
-    """A hand, T_base_hand, and its fingers that have not arrived yet at a grasp that held: where closing is too early."""
-    T, preshape = good[int(rng.integers(len(good)))]
+def partway_grasp(
+    held_grasps: list[tuple[Array, Array]], rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """T_base_hand (4, 4) and joints (15,) of a hand on its way to one of the grasps that held.
+
+    Closing there is too early.
+    """
+    T, preshape = held_grasps[int(rng.integers(len(held_grasps)))]
     metres = rng.normal(0, APPROACH_SD, 3)
     metres[2] -= rng.uniform(*APPROACH_M)  # the hand's z runs along its fingers
     return T @ increment(np.concatenate([metres, rng.normal(0, APPROACH_RAD, 3)])), preshape
 
 
-def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: int) -> GraspData:
-    """What a generator proposes for views of an object, tried: what its evaluator will have to tell apart.
+def try_proposed(
+    object_model: ObjectModel, network: FFHGenerator, seed: int, tried: int
+) -> GraspData:
+    """Try a generator's proposals for views of an object, about `tried` in all.
 
-    A light touch of object or table pushes as it would in an approach; only deeper overlaps are failures without a try.
+    An evaluator will have to tell these apart. A hand that penetrates object or table by up to
+    MAX_PENETRATION is tried: the contact pushes as it would in an approach. A deeper one is a
+    failure and is not tried.
     """
-    world = FlyingHand(thing)
-    views = views_of(thing, PROPOSED_VIEWS, network.dec_bn1.num_features, seed + 1)
+    world = FlyingHand(object_model)
+    views = views_of(object_model, PROPOSED_VIEWS, network.dec_bn1.num_features, seed + 1)
     poses, joints, held, overlapping = [], [], [], []
     for k, view in enumerate(views):
         bps = torch.from_numpy(view.bps)[None]
         T_view_palm, drawn = draw(
-            bps, network, -(-tried // PROPOSED_VIEWS), seed, f"proposed/{thing.name}", k
+            bps, network, -(-tried // PROPOSED_VIEWS), seed, f"proposed/{object_model.name}", k
         )
         for T, q in zip(invert(view.T_view_object) @ T_view_palm, drawn, strict=True):
             world.put_palm(T, q)
-            deep = world.penetration(anything=True) > LIGHT_TOUCH
+            deep = world.penetration(anything=True) > MAX_PENETRATION
             poses.append(T)
             joints.append(q)
             overlapping.append(deep)
@@ -151,36 +170,44 @@ def try_proposed(thing: ObjectModel, network: FFHGenerator, seed: int, tried: in
 
 
 def holds(world: FlyingHand, T_object_palm: Array, joints: Array) -> bool:
-    """Whether a hand put there holds the object through lift and shake; one that lies deeper in it or in the table doesn't.
+    """Whether a hand put at T_object_palm (4, 4) holds the object through lift and shake.
 
-    A view says nothing of the far side, so many that look free lie in it; physics alone would push them out and lift.
+    A hand deeper than MAX_PENETRATION in object or table does not hold. A view does not show an
+    object's far side, so many hands that look free lie in it; physics alone would push them out and
+    lift.
     """
     world.put_palm(T_object_palm, joints)
-    return world.penetration(anything=True) <= LIGHT_TOUCH and world.lifts(joints, shake=True)
+    return world.penetration(anything=True) <= MAX_PENETRATION and world.lifts(joints, shake=True)
 
 
 def free_on_table(
-    thing: ObjectModel, T_cloud_object: Array, cloud: EncodedCloud, candidates: Candidates
+    object_model: ObjectModel, T_cloud_object: Array, cloud: EncodedCloud, candidates: Candidates
 ) -> NDArray[np.bool_]:
-    """Which candidates (n,) lie at most a light touch deep in the cloud of a standing object and in its table."""
+    """Which candidates (n,) penetrate neither a standing object's cloud nor its table too deep.
+
+    The limit is MAX_PENETRATION.
+    """
     normal = T_cloud_object[:3, 2]
-    support = normal, float(normal @ T_cloud_object[:3, 3]) - thing.rest_height()
-    return free_of(cloud, candidates.T_cloud_palm, candidates.joints, support, LIGHT_TOUCH)
+    support = normal, float(normal @ T_cloud_object[:3, 3]) - object_model.rest_height()
+    return free_of(cloud, candidates.T_cloud_palm, candidates.joints, support, MAX_PENETRATION)
 
 
 def try_selected(
-    thing: ObjectModel, networks: Networks, seed: int, views: int, draws: int = 1
+    object_model: ObjectModel, networks: Networks, seed: int, views: int, draws: int = 1
 ) -> tuple[list[EncodedCloud], Array, Array, Array, NDArray[np.bool_]]:
-    """What would be chosen for views of an object, tried: of draws x 256 candidates, the BEST_SCORED of them, those that are
-    free: the four best and four at random.
+    """Try the grasps that an evaluator would choose for views of an object.
 
-    Returns the clouds, by grasp; T_cloud_palm (n, 4, 4) and T_object_palm (n, 4, 4); joints (n, 15); held (n,).
+    Each view has draws x 256 candidates. Of the BEST_SCORED that are free, the four best and four
+    random others are tried. Returns the cloud of each grasp; T_cloud_palm (n, 4, 4); T_object_palm
+    (n, 4, 4); joints (n, 15) rad; held (n,).
     """
-    world = FlyingHand(thing)
-    surface = surface_points(thing, 12_000, generator(seed, f"selected/{thing.name}", 0))
+    world = FlyingHand(object_model)
+    surface = surface_points(
+        object_model, 12_000, generator(seed, f"selected/{object_model.name}", 0)
+    )
     clouds, poses, in_object, joints, held = [], [], [], [], []
     for k in range(views):
-        rng = generator(seed, f"selected view/{thing.name}", k)
+        rng = generator(seed, f"selected view/{object_model.name}", k)
         points, T_cloud_object = cloud_of(surface, k % 2 == 1, rng)
         cloud = encode_cloud(points, networks)
         parts = [propose(cloud, networks, 256, seed, k + 1000 * draw) for draw in range(draws)]
@@ -191,7 +218,7 @@ def try_selected(
         )
         order = np.argsort(-drawn.scores, kind="stable")[:BEST_SCORED]
         top = Candidates(drawn.T_cloud_palm[order], drawn.joints[order], drawn.scores[order])
-        free = order[free_on_table(thing, T_cloud_object, cloud, top)]
+        free = order[free_on_table(object_model, T_cloud_object, cloud, top)]
         for row in [*free[:4], *rng.permutation(np.sort(free[4:]))[:4]]:
             T_object_palm = invert(T_cloud_object) @ drawn.T_cloud_palm[row]
             clouds.append(cloud)
@@ -217,15 +244,20 @@ def write_grasps(
     weights: Path | None = None,
     evaluator: Path | None = None,
 ) -> Path:
-    """Grasps of procedural object `index` as OUT/<object>.npz; a finished file of the same settings is kept.
+    """Write tried grasps of procedural object `index` to OUT/<object>.npz; returns the path.
 
-    weights: of a generator whose proposals are tried in place of sampled grasps; with `evaluator`, those that it chooses.
+    A finished file of the same settings is kept. weights: file of a generator; its proposals are
+    tried instead of sampled grasps. evaluator: file of an evaluator; with `weights`, its choices
+    are tried.
     """
     limit_threads()
     out.mkdir(parents=True, exist_ok=True)
-    thing = procedural_object(index, seed)
-    path = out / f"{thing.name}.npz"
-    about = f"dgeval {__version__} grasps {VERSION} mujoco {mujoco.__version__} seed {seed} tried {tried}"
+    object_model = procedural_object(index, seed)
+    path = out / f"{object_model.name}.npz"
+    about = (
+        f"dgeval {__version__} grasps {VERSION} mujoco {mujoco.__version__} "
+        f"seed {seed} tried {tried}"
+    )
     if weights is not None:
         about += f" proposed by {sha256_of(weights)}"
     if evaluator is not None:
@@ -233,12 +265,14 @@ def write_grasps(
     if path.is_file() and str(np.load(path)["about"]) == about:
         return path
     if weights is None:
-        data = make_grasps(thing, seed, tried)
+        data = make_grasps(object_model, seed, tried)
     elif evaluator is None:
-        data = try_proposed(thing, load_generator(weights), seed, tried)
+        data = try_proposed(object_model, load_generator(weights), seed, tried)
     else:
         networks = Networks(load_generator(weights), load_evaluator(evaluator), upright=True)
-        _, _, T, joints, held = try_selected(thing, networks, seed, CHOSEN_VIEWS, CHOSEN_DRAWS)
+        _, _, T, joints, held = try_selected(
+            object_model, networks, seed, CHOSEN_VIEWS, CHOSEN_DRAWS
+        )
         data = GraspData(T, joints, held, np.zeros(len(held), np.bool_))
     part = path.with_suffix(".part.npz")
     np.savez_compressed(
@@ -254,7 +288,7 @@ def write_grasps(
 
 
 def read_grasps(path: Path) -> GraspData:
-    """A file of `write_grasps`."""
+    """Read a file of `write_grasps`."""
     with np.load(path) as file:
         poses, joints = file["T_object_palm"].astype(np.float64), file["joints"].astype(np.float64)
         return GraspData(poses, joints, file["held"], file["overlapping"])

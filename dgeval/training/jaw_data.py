@@ -1,9 +1,12 @@
-"""Jaw grasps of procedural objects tried in physics, with what the wrist camera sees before each: VFAS-Grasp's evaluator.
+"""Jaw grasps of procedural objects, tried in physics: the training data of VFAS-Grasp's evaluator.
 
-The paper takes ACRONYM's grasps, which are not ours to ship, and Isaac Gym. Here poses are drawn on an object on a table,
-moved as the planner's own sampling moves its seed (and up to three times as far), and every one that is free of contact and
-has something between its fingers is closed, lifted and shaken. So offsets along z, x and y get their true label: the
-paper's hard negatives, without its test that they are unlike any known grasp.
+Each scene holds what the wrist camera sees before a grasp, and labelled poses near it. The paper
+uses ACRONYM's grasps, which we may not ship, and Isaac Gym. Here a seed pose is drawn on an object
+on a table, and moved as the planner's sampling moves its seed, up to three times as far. A pose
+whose approach is free of contact and that has points between the fingers is closed, lifted and
+shaken; any other pose is a failure. So offsets along z, x and y get their true label. The paper
+uses such offsets as hard negatives and tests that they are unlike any known grasp; here that test
+is not needed.
 """
 
 from __future__ import annotations
@@ -30,24 +33,29 @@ from dgeval.worlds.scene import Camera, pose_of
 
 HAND = hand_for("vfas")
 
-VERSION = 1
-SIZE = 160, 120  # px of the drawn view; some three thousand points in the crop
-POINTS = 6000  # kept of a view
-NEAR = 0.16  # m about the grasp, of what is kept
-PER_SEED = 24  # poses round each seed
-OTHER_SHARE = 0.4  # of scenes with a second object near
+VERSION = 1  # of the sampling below; files of another version are made again
+SIZE = 160, 120  # px, width and height of the rendered view; about 3000 points in the crop
+POINTS = 6000  # most points kept of a view
+NEAR = 0.16  # m on each axis of the seed's frame, within which points are kept
+PER_SEED = 24  # poses per scene, the seed included
+OTHER_SHARE = 0.4  # of scenes, with a second object near
 CAMERAS = tuple(
     Camera(name, depth_intrinsics(D405, *SIZE), HAND.T_hand_camera) for name in ("colour", "depth")
 )
-GRAZING = np.cos(np.radians(80.0))  # of the angle between normal and ray
+# cosine of the angle between surface normal and ray, below which a point counts as grazing
+GRAZING = np.cos(np.radians(80.0))
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One view, and poses near the seed it was taken for, all in the seed's grasp frame.
+    """One view and the poses near the seed it was taken for, all in the seed's grasp frame.
 
-    points (n, 3) m; grazing (n,), table (n,): seen at 80 degrees and more, part of the table. T_seed_grasp (m, 4, 4),
-    held (m,), table_hit (m,): the gripper meets the table.
+    - points (n, 3) float32, m.
+    - grazing (n,): points seen at 80 degrees or more from the surface normal.
+    - table (n,): points of the table.
+    - T_seed_grasp (m, 4, 4): the poses.
+    - held (m,): whether the pose held the object.
+    - table_hit (m,): whether the gripper meets the table on its approach.
     """
 
     points: NDArray[np.float32]
@@ -59,61 +67,70 @@ class Scene:
 
 
 def view(
-    world: FlyingJaw, eyes: Eyes, T_base_seed: Array, rng: np.random.Generator
+    world: FlyingJaw, renderer: Eyes, T_base_seed: Array, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """What the camera sees from about the pre-grasp pose: points (n, 3) in the seed's frame, grazing, table."""
+    """What the wrist camera sees from near the pre-grasp pose of a seed, T_base_seed (4, 4).
+
+    Returns points (n, 3) m in the seed's frame, and for each whether it is grazing and whether it
+    is of the table, as in `Scene`. The gripper itself is left out.
+    """
     moved = perturbed(T_base_seed[None], np.array([0.03] * 3), np.radians(8), rng)[0] @ at(
         0, 0, -rng.uniform(0.07, 0.15)
     )
     world.put(moved)
     mujoco.mj_camlight(world.model, world.data)
     k = CAMERAS[0].intrinsics
-    depth = eyes.exact_depth("depth").astype(float)
+    depth = renderer.exact_depth("depth").astype(float)
     v, u = np.indices(depth.shape)
     camera = k.backproject(u.ravel(), v.ravel(), depth.ravel()).reshape(*depth.shape, 3)
     normal = np.cross(np.gradient(camera, axis=1), np.gradient(camera, axis=0))
-    along = np.abs((normal * camera).sum(-1)) / np.maximum(
+    cosine = np.abs((normal * camera).sum(-1)) / np.maximum(
         np.linalg.norm(normal, axis=-1) * np.linalg.norm(camera, axis=-1), 1e-12
     )
     T_base_camera = pose_of(world.data, "hand_base") @ HAND.T_hand_camera
     base = transform(T_base_camera, camera.reshape(-1, 3))
     local = transform(invert(T_base_seed), base)
-    own = eyes.mask_of(np.flatnonzero(world.is_hand).tolist()).ravel()
+    of_gripper = renderer.mask_of(np.flatnonzero(world.is_hand).tolist()).ravel()
     kept = np.flatnonzero(
-        (depth.ravel() > D405.min_range) & (np.abs(local).max(axis=1) < NEAR) & ~own
+        (depth.ravel() > D405.min_range) & (np.abs(local).max(axis=1) < NEAR) & ~of_gripper
     )
     kept = np.sort(rng.permutation(kept)[:POINTS])
-    return local[kept], (along.ravel() < GRAZING)[kept], (base[:, 2] < 0.002)[kept]
+    return local[kept], (cosine.ravel() < GRAZING)[kept], (base[:, 2] < 0.002)[kept]
 
 
 def scenes_of(
-    thing: ObjectModel, other: ObjectModel, seed: int, seeds: int, per_seed: int = PER_SEED
+    object_model: ObjectModel, other: ObjectModel, seed: int, seeds: int, per_seed: int = PER_SEED
 ) -> list[Scene]:
-    """Up to `seeds` scenes of an object; each draws its own place of the other one."""
+    """Up to `seeds` scenes of an object, each with `per_seed` poses.
+
+    In each scene the other object stands at a random place near the first one, or far away.
+    """
     out: list[Scene] = []
-    world = FlyingJaw(thing, other, CAMERAS)
-    surface = surface_points(thing, 6000, generator(seed, f"jaw surface/{thing.name}", 0))
-    T_base_object = at(0.5, 0, thing.rest_height())
-    with Eyes(world, (CAMERAS[0], CAMERAS[1]), D405, seed, 0) as eyes:
+    world = FlyingJaw(object_model, other, CAMERAS)
+    surface = surface_points(
+        object_model, 6000, generator(seed, f"jaw surface/{object_model.name}", 0)
+    )
+    T_base_object = at(0.5, 0, object_model.rest_height())
+    with Eyes(world, (CAMERAS[0], CAMERAS[1]), D405, seed, 0) as renderer:
         for k in range(60 * seeds):
             if len(out) == seeds:
                 break
-            rng = generator(seed, f"jaw scene/{thing.name}", k)
+            rng = generator(seed, f"jaw scene/{object_model.name}", k)
             T_object_seed = seed_pose(surface, rng)
             near, turn = rng.random() < OTHER_SHARE, rng.uniform(0, 2 * np.pi)
-            far = float(
-                np.linalg.norm(thing.extent()[:2]) / 2
+            distance = float(
+                np.linalg.norm(object_model.extent()[:2]) / 2
                 + np.linalg.norm(other.extent()[:2]) / 2
                 + rng.uniform(0.005, 0.06)
             )
-            place = (0.5 + far * np.cos(turn), far * np.sin(turn)) if near else (3.0, 0.0)
+            place = (0.5 + distance * np.cos(turn), distance * np.sin(turn)) if near else (3.0, 0.0)
             world.T_base_other = at(
                 place[0], place[1], other.rest_height(), Rotation.from_euler("z", turn).as_matrix()
             )
             if T_object_seed is None:
                 continue
             T_base_seed = T_base_object @ T_object_seed
-            # most poses drawn overlap or fail: enough of the like come from moving good ones
+            # Most random seeds overlap or fail. Keep few of these: moving good seeds gives enough.
             if not all(world.free_way(T_base_seed)) and rng.random() < 0.97:
                 continue
             world.put(T_base_seed)
@@ -138,7 +155,7 @@ def scenes_of(
                 if free and over_table and between_fingers(surface, invert(T) @ T_base_object) > 3:
                     world.put(T)
                     held[i] = world.lifts()
-            points, grazing, table = view(world, eyes, T_base_seed, rng)
+            points, grazing, table = view(world, renderer, T_base_seed, rng)
             if len(points) >= 200:
                 out.append(
                     Scene(
@@ -154,17 +171,20 @@ def scenes_of(
 
 
 def write_scenes(index: int, out: Path, seed: int, seeds: int) -> Path:
-    """Scenes of procedural object `index` as OUT/<object>.npz; a finished file of the same settings is kept."""
+    """Write scenes of procedural object `index` to OUT/<object>.npz; returns the path.
+
+    A finished file of the same settings is kept.
+    """
     limit_threads()
     out.mkdir(parents=True, exist_ok=True)
-    thing = procedural_object(index, seed)
-    path = out / f"{thing.name}.npz"
+    object_model = procedural_object(index, seed)
+    path = out / f"{object_model.name}.npz"
     about = (
         f"dgeval {__version__} jaw {VERSION} mujoco {mujoco.__version__} seed {seed} seeds {seeds}"
     )
     if path.is_file() and str(np.load(path)["about"]) == about:
         return path
-    scenes = scenes_of(thing, procedural_object(index + 1000, seed), seed, seeds)
+    scenes = scenes_of(object_model, procedural_object(index + 1000, seed), seed, seeds)
     part = path.with_suffix(".part.npz")
     counts = np.cumsum([0, *(len(s.points) for s in scenes)])
     stacked: dict[str, Any] = {
@@ -183,7 +203,7 @@ def write_scenes(index: int, out: Path, seed: int, seeds: int) -> Path:
 
 
 def read_scenes(path: Path) -> list[Scene]:
-    """A file of `write_scenes`."""
+    """Read a file of `write_scenes`."""
     with np.load(path) as file:
         c = file["counts"]
         points, grazing, table = file["points"], file["grazing"], file["table"]

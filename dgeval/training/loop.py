@@ -1,4 +1,4 @@
-"""The loop of every training: AdamW, cosine schedule, a checkpoint that a run of the same settings goes on from."""
+"""The training loop of all networks: AdamW, a cosine schedule, and checkpoints to resume from."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-SAVE_EVERY = 500  # steps
+SAVE_EVERY = 500  # steps between two checkpoints
 
 
 def optimise(
@@ -21,10 +21,14 @@ def optimise(
     checkpoint: Path,
     progress: Callable[[int, dict[str, float]], None],
 ) -> None:
-    """Train in place, from the start or from `checkpoint` where it was left with the same `about`; leaves eval mode.
+    """Train `network` in place for `steps` steps, and leave it in eval mode.
 
-    loss_of(step): loss and its terms, drawn from the step alone, so that a resumed run ends like an uninterrupted one.
-    rates: learning rate and weight decay. progress(step, terms).
+    - loss_of(step): the loss and its terms. It must draw from the step alone, so that a resumed run
+      ends like an uninterrupted one.
+    - rates: learning rate and weight decay.
+    - about: all settings of the run. A checkpoint file with the same ones is resumed; otherwise
+      training starts anew.
+    - progress(step, terms): called after each step; steps count from 1.
     """
     optimiser = torch.optim.AdamW(network.parameters(), rates[0], weight_decay=rates[1])
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)

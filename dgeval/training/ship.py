@@ -1,4 +1,7 @@
-"""From grasp data to files of weights: trains the three networks, calibrates, measures on held-out objects, exports."""
+"""From grasps to weights files: train FFHNet's three networks, calibrate, measure, export.
+
+Calibration and measurement are on objects that trained nothing.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +26,8 @@ from dgeval.training.ffhnet import Kind, ObjectData, Settings, calibrate, load_o
 from dgeval.training.grasp_data import try_selected, write_grasps
 from dgeval.worlds.objects import procedural_object
 
-BINS = 10
-SELECTED_VIEWS = 10
+BINS = 10  # of the predicted probability, for the calibration error
+SELECTED_VIEWS = 10  # per held-out object, for calibration and measurement
 
 
 def train_all(
@@ -35,9 +38,11 @@ def train_all(
     jobs: int,
     progress: Callable[[str, int, dict[str, float]], None],
 ) -> dict[str, Any]:
-    """Train on OUT/grasps; write OUT/ffhnet_*.safetensors and OUT/metrics.json. progress(network, step, loss terms).
+    """Train on the grasps in OUT/grasps, and measure on objects held out; returns the metrics.
 
-    proposals: of the generator, tried in physics per object for the evaluators.
+    Writes OUT/ffhnet_*.safetensors and OUT/metrics.json. proposals: how many of the generator's
+    proposals are tried in physics per object, for the evaluators. progress(network, step, loss
+    terms).
     """
     limit_threads()
 
@@ -56,7 +61,7 @@ def train_all(
         trained("generator", load_objects(out / "grasps", settings, objects, settings.seed)),
         generator_file,
     )
-    # the evaluators also learn from what this generator proposes: its mistakes are those that they will have to see
+    # the evaluators also learn from this generator's proposals: they must recognise its mistakes
     make = partial(
         write_grasps,
         out=out / "proposed",
@@ -76,7 +81,7 @@ def train_all(
     for kind in kinds:
         network = trained(kind, data)
         assert isinstance(network, FFHEvaluator)
-        # ... and from what it would choose itself, of its objects and of as many new ones
+        # and each from its own choices, for its training objects and for as many new ones
         chosen, first = out / f"chosen_by_{kind}", out / f"first_{kind}.safetensors"
         export(network, first)
         make = partial(
@@ -100,23 +105,24 @@ def train_all(
             out / f"{kind}_tuned.ckpt",
             lambda step, terms: progress("tuning", step, terms),
         )
-        # one half of the held-out objects calibrates, the other measures
+        # every second held-out object calibrates, the others measure
         networks = Networks(load_generator(generator_file), network, upright=True)
         unseen = range(objects - settings.held_out, objects)
         factor, offset = calibrate(network, *selected(networks, unseen[::2], settings.seed))
         bps, palms, held = selected(networks, unseen[1::2], settings.seed)
         with torch.no_grad():
-            found = scores_of(network(bps, palms).numpy().astype(float), held.numpy() > 0.5)
-        metrics["held_out"][kind] = {**found, "platt_factor": factor, "platt_offset": offset}
+            scores = scores_of(network(bps, palms).numpy().astype(float), held.numpy() > 0.5)
+        metrics["held_out"][kind] = {**scores, "platt_factor": factor, "platt_offset": offset}
         export(network, out / f"ffhnet_{kind}.safetensors")
     (out / "metrics.json").write_text(json.dumps(metrics, indent=1), encoding="utf-8")
     return metrics
 
 
 def selected(networks: Networks, indices: Sequence[int], seed: int) -> tuple[Tensor, Palms, Tensor]:
-    """bps (n, k), palms and held (n,) of what would be chosen among proposals for procedural objects, tried.
+    """Try the grasps that the networks would choose for procedural objects.
 
-    The score's meaning is fixed on these: the chance that a grasp holds which the pipeline might choose.
+    Returns bps (n, k), palms, and held (n,) 0 or 1. On these a score is calibrated to be the
+    probability that a grasp holds which the pipeline might choose.
     """
     bps, poses, joints, held = [], [], [], []
     for index in indices:
@@ -133,12 +139,18 @@ def selected(networks: Networks, indices: Sequence[int], seed: int) -> tuple[Ten
 
 
 def export(network: nn.Module, path: Path) -> None:
-    """Matrices in whole steps, which shrinks the file; norms and offsets as they are. All learn upright clouds."""
+    """Write a safetensors file: matrices quantised, which shrinks it; norms and biases as they are.
+
+    The metadata say that the network takes upright clouds, as all networks trained here do.
+    """
     save_file(quantised(network.state_dict()), path, {"axes": "upright"})
 
 
 def scores_of(p: np.ndarray[Any, Any], held: np.ndarray[Any, Any]) -> dict[str, float]:
-    """p (n,) predicted, held (n,) bool."""
+    """ROC-AUC, Brier score, expected calibration error, and share that held.
+
+    p (n,): predicted probabilities that a grasp holds. held (n,): bool.
+    """
     from scipy.stats import rankdata
 
     ranks = rankdata(p)
@@ -159,6 +171,7 @@ def scores_of(p: np.ndarray[Any, Any], held: np.ndarray[Any, Any]) -> dict[str, 
 
 
 def _about(learning: list[ObjectData], held_out: list[ObjectData]) -> dict[str, Any]:
+    """Names of the objects, and number of grasps of each kind, for training and held out."""
     return {
         name: {
             kind: sum(len(o.rows[kind]) for o in objects)

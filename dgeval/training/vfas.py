@@ -1,4 +1,4 @@
-"""Training of VFAS-Grasp's evaluator on jaw grasps tried in physics, with both augmentations of the paper."""
+"""Training of VFAS-Grasp's evaluator on jaw grasps tried in physics, augmented as in the paper."""
 
 from __future__ import annotations
 
@@ -27,26 +27,31 @@ from dgeval.training.loop import optimise
 from dgeval.training.ship import scores_of
 from dgeval.worlds.objects import procedural_object
 
-NOISE, GRAZING_DROP = 0.002, 0.7  # m on each axis; probability (VFAS section III-B)
-FLOATING = 0.3  # share of scenes shown without their table, as in a handover (ours)
-MIRRORS = np.array(
-    [[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]], dtype=np.float32
-)  # the gripper looks the same in each
+NOISE = 0.002  # m, standard deviation on each axis (VFAS section III-B)
+GRAZING_DROP = 0.7  # probability that a grazing point is dropped (VFAS section III-B)
+FLOATING = 0.3  # share of examples without the points of their table, as in a handover (ours)
+# factors on the axes; the gripper looks the same in each of these mirror images
+MIRRORS = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]], dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class Settings:
+    """Settings of a training run, everything that its result depends on besides the scenes."""
+
     steps: int = 4000
     batch: int = 64
-    positive: float = 0.35  # share of a batch that held
+    positive: float = 0.35  # share of examples that are to be of poses that held
     learning_rate: float = 1e-3
     weight_decay: float = 1e-4
-    held_out: int = 9  # the last objects
+    held_out: int = 9  # objects, the last ones, that are not trained on
     seed: int = 0
 
 
 def load_scenes(folder: Path, objects: int, seed: int) -> list[list[Scene]]:
-    """Scenes of procedural objects 0 … objects - 1, by object. UsageError where a file is missing."""
+    """Scenes of procedural objects 0 to objects - 1, one list per object.
+
+    Raises UsageError if a file is missing.
+    """
     out = []
     for index in range(objects):
         path = folder / f"{procedural_object(index, seed).name}.npz"
@@ -59,7 +64,11 @@ def load_scenes(folder: Path, objects: int, seed: int) -> list[list[Scene]]:
 def example(
     scene: Scene, row: int, floating: bool, rng: np.random.Generator
 ) -> NDArray[np.float32] | None:
-    """Cropped, augmented points (n, 3) of one pose; None where too few are near."""
+    """Cropped and augmented points (n, 3) float32 of one pose of a scene, m, in its grasp frame.
+
+    row: of the pose in the scene. floating: leave the table's points out. None if fewer than
+    LEAST_POINTS lie in the crop.
+    """
     kept = ~scene.grazing | (rng.random(len(scene.grazing)) > GRAZING_DROP)
     if floating:
         kept &= ~scene.table
@@ -76,20 +85,20 @@ def example(
 def batch_of(
     scenes: list[Scene], settings: Settings, rng: np.random.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Points (batch, n, 3) and whether each held (batch,)."""
+    """Points (batch, n, 3) of random poses, and whether each pose held (batch,), 0 or 1."""
     points: list[NDArray[np.float32]] = []
     held: list[bool] = []
     while len(points) < settings.batch:
         scene = scenes[rng.integers(len(scenes))]
         floating = bool(rng.random() < FLOATING and not scene.table.all())
-        wanted = bool(rng.random() < settings.positive)
-        rows = np.flatnonzero((scene.held == wanted) & ~(floating & scene.table_hit))
+        held_wanted = bool(rng.random() < settings.positive)
+        rows = np.flatnonzero((scene.held == held_wanted) & ~(floating & scene.table_hit))
         if not len(rows):
             continue
-        found = example(scene, int(rng.choice(rows)), floating, rng)
-        if found is not None:
-            points.append(found)
-            held.append(wanted)
+        cropped_points = example(scene, int(rng.choice(rows)), floating, rng)
+        if cropped_points is not None:
+            points.append(cropped_points)
+            held.append(held_wanted)
     return torch.from_numpy(np.array(points, dtype=np.float32)), torch.tensor(
         held, dtype=torch.float32
     )
@@ -101,7 +110,10 @@ def train(
     checkpoint: Path,
     progress: Callable[[int, dict[str, float]], None],
 ) -> GraspEvaluator:
-    """The evaluator trained on scenes; resumes from the checkpoint of the same settings."""
+    """Train an evaluator on scenes, and return it.
+
+    Training resumes from `checkpoint` if it is of the same settings. progress(step, loss terms).
+    """
     torch.manual_seed(settings.seed)
     network = GraspEvaluator(VFAS)
     gripper = torch.from_numpy(
@@ -129,7 +141,7 @@ def train(
 
 
 def measure(network: GraspEvaluator, scenes: list[Scene], n: int, seed: int) -> dict[str, float]:
-    """ROC-AUC, Brier, calibration error over n random poses of scenes, as they are drawn."""
+    """`scores_of` an evaluator over n random poses of scenes, held or failed as they come."""
     gripper = torch.from_numpy(
         gripper_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
     )[None]
@@ -139,9 +151,9 @@ def measure(network: GraspEvaluator, scenes: list[Scene], n: int, seed: int) -> 
     while len(points) < n:
         scene = scenes[rng.integers(len(scenes))]
         row = int(rng.integers(len(scene.held)))
-        found = example(scene, row, False, rng)
-        if found is not None:
-            points.append(found)
+        cropped_points = example(scene, row, False, rng)
+        if cropped_points is not None:
+            points.append(cropped_points)
             held.append(bool(scene.held[row]))
     p = network.success(torch.from_numpy(np.array(points)), gripper).double().numpy()
     return scores_of(p, np.array(held))
@@ -155,14 +167,18 @@ def train_all(
     jobs: int,
     progress: Callable[[str, int, dict[str, float]], None],
 ) -> dict[str, Any]:
-    """Scenes in OUT/scenes, training, OUT/vfas_evaluator.safetensors and OUT/metrics.json. progress(phase, step, terms)."""
+    """Make scenes of procedural objects, train on them, and measure on objects held out.
+
+    Writes OUT/scenes, OUT/vfas_evaluator.safetensors and OUT/metrics.json; returns the metrics.
+    seeds: scenes per object. progress(phase, step, loss terms).
+    """
     limit_threads()
     made = iter(range(1, objects + 1))
     make = partial(write_scenes, out=out / "scenes", seed=settings.seed, seeds=seeds)
     write_all(make, range(objects), jobs, lambda _: progress("scenes", next(made), {}))
     data = load_scenes(out / "scenes", objects, settings.seed)
-    learning, unseen = (
-        [s for thing in part for s in thing]
+    learning, held_out = (
+        [scene for scenes in part for scene in scenes]
         for part in (data[: -settings.held_out], data[-settings.held_out :])
     )
     network = train(
@@ -176,9 +192,9 @@ def train_all(
         "settings": asdict(settings),
         "poses": {
             "training": sum(len(s.held) for s in learning),
-            "held_out": sum(len(s.held) for s in unseen),
+            "held_out": sum(len(s.held) for s in held_out),
         },
-        "held_out": {"vfas_evaluator": measure(network, unseen, 1500, settings.seed)},
+        "held_out": {"vfas_evaluator": measure(network, held_out, 1500, settings.seed)},
     }
     (out / "metrics.json").write_text(json.dumps(metrics, indent=1), encoding="utf-8")
     return metrics

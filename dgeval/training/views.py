@@ -1,4 +1,7 @@
-"""Clouds of an object as replay sees them: partial views of a depth camera, alone or fused, as basis point encodings."""
+"""Clouds of an object as replay has them: partial views of a depth camera, single or fused.
+
+Each view is encoded by its distances from basis points.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +17,30 @@ from dgeval.networks.bps import basis, encode
 from dgeval.simulation.clouds import seen_from
 from dgeval.worlds.objects import ObjectModel, surface_points
 
-MOST_TILT = np.radians(75)  # of a camera on a hand that comes from aslant
-POINTS = 1500  # of a cloud; replay's have up to 4096, which moves distances by less than the noise
+MAX_TILT = np.radians(75)  # rad from the vertical, of a camera on a hand that approaches aslant
+# points of a cloud. Replay's have up to 4096, which changes distances by less than the noise.
+POINTS = 1500
 
 
 @dataclass(frozen=True)
 class View:
-    """bps (n,) m of a centred cloud; T_view_object (4, 4): origin at the cloud's mean, z down by 75 degrees or less."""
+    """One view of an object.
+
+    bps (n,) float32: distances from n basis points to the cloud, mean subtracted, m.
+    T_view_object (4, 4): the view frame's origin is the cloud's mean, its z at most 75 degrees from
+    straight down.
+    """
 
     bps: NDArray[np.float32]
     T_view_object: Array
 
 
 def camera_at(tilt: float, heading: float, rng: np.random.Generator) -> Array:
-    """T_camera_object of a camera so many rad from straight above an upright object, looking at it from 0.25 to 0.6 m."""
+    """T_camera_object (4, 4) of a camera that looks at an upright object from 0.25 to 0.6 m.
+
+    tilt: of the camera from straight above the object, rad. heading: direction of the horizontal
+    axis of that tilt, rad. Distance, roll and a small offset are random.
+    """
     axis = np.array([np.cos(heading), np.sin(heading), 0.0])
     R_object_camera = Rotation.from_rotvec(tilt * axis).as_matrix() @ np.diag([1.0, -1.0, -1.0])
     T = np.eye(4)
@@ -37,21 +50,23 @@ def camera_at(tilt: float, heading: float, rng: np.random.Generator) -> Array:
 
 
 def cloud_of(surface: Array, fused: bool, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A cloud (m, 3) and T_cloud_object; `fused`: of up to eight views of an approach.
+    """A cloud (m, 3) of surface points (n, 3), m, and T_cloud_object (4, 4).
 
-    An approach begins above the object and comes down to the side from which it is seen last. The axes are those of a third
-    camera: weights that had learned upright clouds alone knew 63 objects and no others (AUC 0.54 of their choices, not 0.80).
+    A fused cloud joins two to eight views of an approach, which begins above the object and comes
+    down to the side of its last view. The cloud's axes are those of another random camera: an
+    evaluator trained on upright clouds alone knew its 63 objects and no others (AUC of its choices
+    0.54, against 0.80).
     """
-    tilt, heading = MOST_TILT * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi)
+    tilt, heading = MAX_TILT * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi)
     T_cloud_object = np.eye(4)
     T_cloud_object[:3, :3] = camera_at(
-        MOST_TILT * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi), rng
+        MAX_TILT * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi), rng
     )[:3, :3]
     T = camera_at(tilt, heading, rng)
     clouds = [transform(T_cloud_object @ invert(T), seen_from(surface, T, rng)[1])]
     if fused:
         for _ in range(int(rng.integers(1, 8))):
-            # from elsewhere, registered with an error of a millimetre or two
+            # another view of the approach; registration error 1.5 mm, 1 degree (1 sigma)
             other = camera_at(tilt * rng.random(), heading + rng.normal(0, 0.4), rng)
             error = increment(
                 np.concatenate([rng.normal(0, 0.0015, 3), rng.normal(0, np.radians(1), 3)])
@@ -63,13 +78,15 @@ def cloud_of(surface: Array, fused: bool, rng: np.random.Generator) -> tuple[Arr
     return cloud[rng.permutation(len(cloud))[:POINTS]], T_cloud_object
 
 
-def views_of(thing: ObjectModel, n: int, n_bps: int, seed: int) -> list[View]:
-    """n views of an object, every other one fused."""
-    surface = surface_points(thing, 12_000, generator(seed, f"surface/{thing.name}", 0))
+def views_of(object_model: ObjectModel, n: int, n_bps: int, seed: int) -> list[View]:
+    """n views of an object, every second one fused, each encoded by n_bps basis points."""
+    surface = surface_points(
+        object_model, 12_000, generator(seed, f"surface/{object_model.name}", 0)
+    )
     out = []
     for k in range(n):
         cloud, T_cloud_object = cloud_of(
-            surface, k % 2 == 1, generator(seed, f"view/{thing.name}", k)
+            surface, k % 2 == 1, generator(seed, f"view/{object_model.name}", k)
         )
         mean = cloud.mean(axis=0)
         T_view_object = T_cloud_object.copy()

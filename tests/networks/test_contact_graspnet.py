@@ -1,4 +1,8 @@
-"""Contact-GraspNet against a second writing in numpy, one centre at a time; and the seeds that a planner starts from."""
+"""Catches a network that differs from the published one, and seeds that are not its best grasps.
+
+The reference is a second implementation in NumPy, one centre at a time. The last tests are of the
+seeds that a planner starts from.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +29,8 @@ from dgeval.robots.parallel_jaw import OPENING
 N = 2100
 
 
-def filled() -> ContactGraspNet:
-    """Weights that are a function of their place, norms that have seen something."""
+def network_with_fixed_weights() -> ContactGraspNet:
+    """A network with fixed random weights, and norms with other statistics than 0 and 1."""
     network = ContactGraspNet()
     rng = np.random.default_rng(1)
     state = {}
@@ -39,13 +43,13 @@ def filled() -> ContactGraspNet:
         else:
             wide = 1 / np.sqrt(shape[1]) if len(shape) > 1 else 0.05
             state[name] = torch.from_numpy(rng.normal(0, wide, shape).astype(np.float32))
-    state["multihead.3.3.bias"] -= 0.1  # widths on both sides of neither clip
+    state["multihead.3.3.bias"] -= 0.1  # brings widths between the limits of the clipping
     network.load_state_dict(state)
     return network.eval()
 
 
 def layers(state: dict[str, np.ndarray], name: str, x: np.ndarray) -> np.ndarray:
-    """Linear, rectifier, norm, as often as there are."""
+    """Apply all layers of a name in turn: linear, ReLU, norm."""
     k = 0
     while f"{name}.{k}.0.weight" in state:
         part = f"{name}.{k}"
@@ -57,6 +61,7 @@ def layers(state: dict[str, np.ndarray], name: str, x: np.ndarray) -> np.ndarray
 
 
 def farthest(points: np.ndarray, n: int) -> np.ndarray:
+    """Farthest point sampling from index 0 on."""
     chosen, nearest = [0], np.full(len(points), np.inf)
     while len(chosen) < n:
         nearest = np.minimum(nearest, ((points - points[chosen[-1]]) ** 2).sum(1))
@@ -64,8 +69,8 @@ def farthest(points: np.ndarray, n: int) -> np.ndarray:
     return np.array(chosen)
 
 
-def by_hand(state: dict[str, np.ndarray], points: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The four heads' outputs, from PAPERS section 6."""
+def reference_outputs(state: dict[str, np.ndarray], points: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Points and outputs of the four heads, computed as in PAPERS section 6."""
     xyz, features = points, np.zeros((len(points), 0))
     levels = []
     for s, count in enumerate(CENTRES):
@@ -75,7 +80,7 @@ def by_hand(state: dict[str, np.ndarray], points: np.ndarray) -> tuple[np.ndarra
             rows = []
             for i, centre in enumerate(centres):
                 near = np.flatnonzero(((xyz - centre) ** 2).sum(1) < radius**2)[:NEIGHBOURS]
-                near = np.unique([*near, i])  # the accident: point i, wherever it lies
+                near = np.unique([*near, i])  # the original's accident: point i, wherever it lies
                 local = np.concatenate([features[near], xyz[near] - centre], axis=1)
                 rows.append(layers(state, f"set_abstract_msg.{s}.{r}.conv.local_nn", local).max(0))
             columns.append(rows)
@@ -89,10 +94,10 @@ def by_hand(state: dict[str, np.ndarray], points: np.ndarray) -> tuple[np.ndarra
             w = 1 / np.maximum(d2[near], 1e-16)
             out.append(np.concatenate([(features[near] * w[:, None]).sum(0) / w.sum(), beside]))
         features, xyz = layers(state, f"feat_prop.{step}.nn", np.array(out)), fine
-    whole = np.concatenate([xyz, features], axis=1)
+    inputs = np.concatenate([xyz, features], axis=1)
     heads = []
     for h in range(4):
-        x = whole @ state[f"multihead.{h}.0.weight"][:, :, 0].T + state[f"multihead.{h}.0.bias"]
+        x = inputs @ state[f"multihead.{h}.0.weight"][:, :, 0].T + state[f"multihead.{h}.0.bias"]
         name = f"multihead.{h}.1"
         x = (x - state[f"{name}.running_mean"]) / np.sqrt(state[f"{name}.running_var"] + 1e-5)
         x = x * state[f"{name}.weight"] + state[f"{name}.bias"]
@@ -103,52 +108,60 @@ def by_hand(state: dict[str, np.ndarray], points: np.ndarray) -> tuple[np.ndarra
 
 
 def test_network_is_the_published_one() -> None:
-    """Catches wrong radii, orders of norm and rectifier, interpolation, the missing accident, and directions."""
+    """Catches wrong radii, norm and ReLU swapped, and wrong interpolation or directions.
+
+    It also catches a network without the original's accident, point i as a neighbour of centre i.
+    """
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.15, 0.15, (N, 3)).astype(np.float32)
-    network = filled()
+    network = network_with_fixed_weights()
     at, across, approach, width, logit = (v.numpy() for v in network(torch.from_numpy(points)))
     state = {k: v.numpy().astype(np.float64) for k, v in network.state_dict().items()}
-    xyz, score, z1, z2, w = by_hand(state, points.astype(np.float64))
+    xyz, score, z1, z2, w = reference_outputs(state, points.astype(np.float64))
     assert np.allclose(at, xyz, atol=1e-7)
     unit = z1 / np.linalg.norm(z1, axis=1, keepdims=True)
     second = z2 - (unit * z2).sum(1, keepdims=True) * unit
     second /= np.linalg.norm(second, axis=1, keepdims=True)
     clipped = np.clip(w[:, 0], -0.16, 0.08)
-    # against how much they differ from contact to contact, not against their size
-    for got, wanted in ((logit, score[:, 0]), (across, unit), (approach, second), (width, clipped)):
-        assert wanted.std(axis=0).min() > 1e-3
-        assert np.abs(got - wanted).max() < 1e-3 * wanted.std(axis=0).min()
+    # the tolerance is relative to the spread over contacts, not to the size
+    for got, expected in (
+        (logit, score[:, 0]),
+        (across, unit),
+        (approach, second),
+        (width, clipped),
+    ):
+        assert expected.std(axis=0).min() > 1e-3
+        assert np.abs(got - expected).max() < 1e-3 * expected.std(axis=0).min()
 
 
 def test_grasps_lie_between_the_jaws_whatever_the_origin() -> None:
-    """Catches the half width on the wrong side, and a mean that isn't added again."""
+    """Catches half a width on the wrong side, and a mean that is not added back."""
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.15, 0.15, (N, 3))
-    network = filled()
+    network = network_with_fixed_weights()
     about_mean = torch.from_numpy((points - points.mean(0)).astype(np.float32))
     at, across, approach, width, _ = (v.double().numpy() for v in network(about_mean))
     far = np.array([0.5, -0.3, 0.1])
-    found = network.grasps(points + far)
-    T = found.T_cloud_grasp
+    grasps = network.grasps(points + far)
+    T = grasps.T_cloud_grasp
     assert np.allclose(
         T[:, :3, 3] - width[:, None] / 2 * across, at + points.mean(0) + far, atol=1e-5
     )
     assert np.allclose(T[:, :3, 2], approach, atol=1e-3)
     assert np.allclose(np.linalg.det(T[:, :3, :3]), 1.0, atol=1e-5)
-    assert (found.width >= 0).all()
-    assert ((found.score >= 0) & (found.score <= 1)).all()
+    assert (grasps.width >= 0).all()
+    assert ((grasps.score >= 0) & (grasps.score <= 1)).all()
 
 
 def test_seed_is_among_the_confident_ones() -> None:
-    """Catches a choice by the wrong end of the scores, another than the evaluator's, and a crash on too small a cloud."""
+    """Catches a seed of low score, one the evaluator would not choose, a crash on a small cloud."""
     cloud = np.random.default_rng(0).uniform(-0.15, 0.15, (N, 3))
-    network, judge = filled(), GraspJudge(evaluator_of(None), VfasConfig())
+    network, judge = network_with_fixed_weights(), GraspJudge(evaluator_of(None), VfasConfig())
     T = seed_from_contacts(cloud, network, judge, 3)
     assert T is not None
-    found = network.grasps(cloud)
-    assert found.width.max() < OPENING
-    confident = found.T_cloud_grasp[np.argsort(-found.score)[:270]]
+    grasps = network.grasps(cloud)
+    assert grasps.width.max() < OPENING
+    confident = grasps.T_cloud_grasp[np.argsort(-grasps.score)[:270]]
     assert np.abs(confident - T).max(axis=(1, 2)).min() < 1e-3
     quality = judge.quality([cloud], np.concatenate([T[None], confident[:20]]))[0]
     assert quality[0] >= quality[1:].max() - 0.05
@@ -156,8 +169,14 @@ def test_seed_is_among_the_confident_ones() -> None:
 
 
 def test_checkpoint_container_and_its_absence(tmp_path: Path) -> None:
-    """cgn-pytorch's file has an optimiser beside the weights; without the package the error says what to do."""
-    torch.save({"state_dict": filled().state_dict(), "epoch": 7}, tmp_path / "current.pth")
+    """Catches a wrong key of the weights in cgn-pytorch's file, and no hint without the package.
+
+    The file holds an optimiser beside the weights.
+    """
+    torch.save(
+        {"state_dict": network_with_fixed_weights().state_dict(), "epoch": 7},
+        tmp_path / "current.pth",
+    )
     loaded = load_contact_graspnet(tmp_path / "current.pth")
     assert sum(1 for _ in loaded.state_dict()) == 295
     if importlib.util.find_spec("cgn_pytorch") is None:
@@ -166,7 +185,10 @@ def test_checkpoint_container_and_its_absence(tmp_path: Path) -> None:
 
 
 def test_installed_weights_find_grasps_on_the_packages_scene() -> None:
-    """142 grasps over 0.5, best 0.995: what the original gives from the same first point and order of neighbours."""
+    """Catches weights loaded wrongly: the original gives 142 grasps over 0.5, the best of 0.995.
+
+    That is with the same first point and the same order of neighbours.
+    """
     package = importlib.util.find_spec("cgn_pytorch")
     if package is None or not package.submodule_search_locations:
         pytest.skip("cgn-pytorch is not installed")
@@ -179,7 +201,10 @@ def test_installed_weights_find_grasps_on_the_packages_scene() -> None:
 
 
 def test_sampled_seed_holds_what_is_narrow() -> None:
-    """A thin box standing on a table: the sampler's seed is on the box, across its thin side, and moves with the scene."""
+    """Catches a seed beside a thin box, along its wide side, or that does not move with the scene.
+
+    The box stands on a table.
+    """
     rng = np.random.default_rng(0)
     n = 3000
     side = np.column_stack(

@@ -1,4 +1,7 @@
-"""Catches: a part in the wrong order, a slope or norm forgotten, a checkpoint that runs code, a grasp in the wrong frame."""
+"""Catches wrong layers of FFHNet, checkpoints that run code, and grasps in a wrong frame.
+
+Wrong layers are parts in another order, and a slope or a norm left out.
+"""
 
 from __future__ import annotations
 
@@ -48,8 +51,8 @@ from torch import Tensor, nn
 SIZE = (64, 24, 16)  # basis points, width, hidden: small, and all different
 
 
-def filled(network: nn.Module, scale: float = 0.3) -> Any:
-    """Weights that depend on name and shape alone."""
+def with_fixed_weights(network: nn.Module, scale: float = 0.3) -> Any:
+    """The network with random weights that depend on name and shape alone, in eval mode."""
     for name, tensor in network.state_dict().items():
         if tensor.dtype.is_floating_point:
             rng = np.random.default_rng(int(hashlib.sha256(name.encode()).hexdigest()[:8], 16))
@@ -60,7 +63,8 @@ def filled(network: nn.Module, scale: float = 0.3) -> Any:
     return network.eval()
 
 
-def some(n: int, n_bps: int) -> tuple[Tensor, Palms]:
+def random_inputs(n: int, n_bps: int) -> tuple[Tensor, Palms]:
+    """Random inputs: bps (1, n_bps) and n palms."""
     torch.manual_seed(3)
     return torch.rand(1, n_bps) * 0.3, Palms(
         matrix_from_6d(torch.randn(n, 6)), 0.1 * torch.randn(n, 3), torch.rand(n, 15)
@@ -71,11 +75,13 @@ def some(n: int, n_bps: int) -> tuple[Tensor, Palms]:
 
 
 def test_basis_is_the_published_one() -> None:
+    """Catches another seed, order of draws or radius; the digest is of the authors' own file."""
     digest = hashlib.sha256(basis(4096, 0.2).tobytes()).hexdigest()
     assert digest == "d1e7f6d38deb013a1521a526aa846e9666e95cbff00158edc4dab337c8d334ef"
 
 
 def test_encoding_is_the_distance_to_the_nearest_point() -> None:
+    """Catches squared distances, distances of the cloud's points, and an empty cloud accepted."""
     rng = np.random.default_rng(0)
     cloud = rng.normal(0, 0.05, (300, 3))
     exact = np.linalg.norm(basis(200)[:, None].astype(float) - cloud[None], axis=2).min(axis=1)
@@ -86,11 +92,12 @@ def test_encoding_is_the_distance_to_the_nearest_point() -> None:
 
 @pytest.mark.parametrize("name", ["cheez_it", "mustard_bottle", "soft_scrub"])
 def test_encodings_of_real_clouds_are_the_authors(name: str, real_data: Path) -> None:
+    """Catches another scale or another basis than in the authors' files of three clouds."""
     with np.load(real_data / "ffhnet_clouds" / f"{name}.npz") as file:
         np.testing.assert_allclose(encode(file["points"], basis()), file["bps"].ravel(), atol=1e-6)
 
 
-# networks against a second writing of them, in numpy from the published description
+# networks against a second implementation in NumPy, from the published description
 
 
 def leaky(x: Array) -> Array:
@@ -98,7 +105,7 @@ def leaky(x: Array) -> Array:
 
 
 class Reference:
-    """State dict applied by hand, in double precision."""
+    """Layers of a state dict, computed in double precision."""
 
     def __init__(self, network: nn.Module) -> None:
         self.w = {k: v.numpy().astype(float) for k, v in network.state_dict().items()}
@@ -124,42 +131,47 @@ class Reference:
 
 
 def test_generator_is_as_described() -> None:
-    network = filled(FFHGenerator(*SIZE))
-    bps, palms = some(7, SIZE[0])
+    """Catches parts in another order, a missing norm or slope, and wrong rotation columns."""
+    network = with_fixed_weights(FFHGenerator(*SIZE))
+    bps, palms = random_inputs(7, SIZE[0])
     ref = Reference(network)
-    whole = np.tile(bps.numpy().astype(float), (7, 1))
+    bps_rows = np.tile(bps.numpy().astype(float), (7, 1))
     x = ref.norm(
         "enc_bn1",
         np.concatenate(
-            [whole, palms.rotation.numpy().reshape(7, 9), palms.translation, palms.joints], axis=1
+            [bps_rows, palms.rotation.numpy().reshape(7, 9), palms.translation, palms.joints],
+            axis=1,
         ),
     )
     code = ref.block("enc_rb2", np.concatenate([x, ref.block("enc_rb1", x)], axis=1))
     z = torch.randn(7, 5)
-    x0 = np.concatenate([z.numpy(), ref.norm("dec_bn1", whole)], axis=1)
+    x0 = np.concatenate([z.numpy(), ref.norm("dec_bn1", bps_rows)], axis=1)
     out = ref.block("dec_rb2", np.concatenate([x0, ref.block("dec_rb1", x0)], axis=1))
     with torch.no_grad():
-        for given_bps in (
-            bps,
-            bps.expand(7, -1),
-        ):  # the cloud's share multiplied once, or for every candidate
+        # one row for all candidates, and a row for each
+        for given_bps in (bps, bps.expand(7, -1)):
             mu, logvar = network.encode(given_bps, palms)
             np.testing.assert_allclose(mu, ref.linear("enc_mu", code), atol=1e-5)
             np.testing.assert_allclose(logvar, ref.linear("enc_logvar", code), atol=1e-5)
-            made = network.decode(z, given_bps)
-            np.testing.assert_allclose(made.translation, ref.linear("dec_transl", out), atol=1e-5)
-            np.testing.assert_allclose(made.joints, ref.linear("dec_joint_conf", out), atol=1e-5)
+            decoded = network.decode(z, given_bps)
+            np.testing.assert_allclose(
+                decoded.translation, ref.linear("dec_transl", out), atol=1e-5
+            )
+            np.testing.assert_allclose(decoded.joints, ref.linear("dec_joint_conf", out), atol=1e-5)
     six = ref.linear("dec_rot", out)
     a = six[:, :3] / np.linalg.norm(six[:, :3], axis=1, keepdims=True)
     c = np.cross(a, six[:, 3:])
     c /= np.linalg.norm(c, axis=1, keepdims=True)
-    np.testing.assert_allclose(made.rotation, np.stack([a, np.cross(c, a), c], axis=2), atol=1e-5)
+    np.testing.assert_allclose(
+        decoded.rotation, np.stack([a, np.cross(c, a), c], axis=2), atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("joints", [False, True])
 def test_evaluator_is_as_described(joints: bool) -> None:
-    network = filled(FFHEvaluator(*SIZE, joints=joints), 0.2)
-    bps, palms = some(7, SIZE[0])
+    """Catches parts in another order, a missing norm, and joints used by the published network."""
+    network = with_fixed_weights(FFHEvaluator(*SIZE, joints=joints), 0.2)
+    bps, palms = random_inputs(7, SIZE[0])
     ref = Reference(network)
     parts = [
         np.tile(bps.numpy().astype(float), (7, 1)),
@@ -168,19 +180,19 @@ def test_evaluator_is_as_described(joints: bool) -> None:
     ]
     x = ref.norm("bn1", np.concatenate([*parts, palms.joints.numpy()] if joints else parts, axis=1))
     out = ref.block("rb1", x)
-    for name in ("rb2", "rb3"):  # what came before stands first here, last in the generator
+    for name in ("rb2", "rb3"):  # the previous block's output is first here, last in the generator
         out = ref.block(name, np.concatenate([out, x], axis=1))
     expected = 1 / (1 + np.exp(-ref.linear("out_success", out)[:, 0]))
     with torch.no_grad():
         for given_bps in (bps, bps.expand(7, -1)):
             np.testing.assert_allclose(network(given_bps, palms), expected, atol=1e-5)
         other = network(bps, Palms(palms.rotation, palms.translation, palms.joints + 0.3))
-    assert (
-        bool(np.abs(other.numpy() - expected).max() > 1e-3) == joints
-    )  # the published one is blind to the fingers
+    # the published network does not see the joints
+    assert bool(np.abs(other.numpy() - expected).max() > 1e-3) == joints
 
 
 def test_published_sizes() -> None:
+    """Catches defaults that are not the published sizes, by numbers of parameters and shapes."""
     generator, evaluator = FFHGenerator(), FFHEvaluator()
     assert sum(p.numel() for p in generator.parameters()) == 13_987_928
     assert sum(p.numel() for p in evaluator.parameters()) == 10_661_657
@@ -196,6 +208,7 @@ def test_published_sizes() -> None:
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(-3, 3), min_size=6, max_size=6))
 def test_six_numbers_make_a_rotation(six: list[float]) -> None:
+    """Catches a matrix that is not orthonormal, is left-handed, or has rows for columns."""
     a, b = np.array(six[:3]), np.array(six[3:])
     if np.linalg.norm(np.cross(a, b)) < 1e-2 * max(np.linalg.norm(a), np.linalg.norm(b), 1):
         return
@@ -208,8 +221,8 @@ def test_six_numbers_make_a_rotation(six: list[float]) -> None:
 # checkpoints
 
 
-class Runs:
-    """Pickles as a call of os.system."""
+class RunsACommand:
+    """An object whose pickle calls os.system."""
 
     def __reduce__(self) -> Any:
         return os.system, ("echo a checkpoint ran this",)
@@ -217,19 +230,20 @@ class Runs:
 
 @pytest.mark.parametrize("legacy", [False, True])
 def test_the_authors_containers_load(tmp_path: Path, legacy: bool) -> None:
-    network = filled(FFHGenerator(*SIZE))
+    """Catches a format, a prefix or an object beside the weights that is refused; cut-off files."""
+    network = with_fixed_weights(FFHGenerator(*SIZE))
     optimiser = torch.optim.Adam(network.parameters())
     plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(optimiser)
-    whole = {
+    content = {
         "epoch": 10,
         "ffhgenerator_state_dict": {f"module.{k}": v for k, v in network.state_dict().items()},
         "optim_ffhgenerator_state_dict": optimiser.state_dict(),
         "scheduler_ffhgenerator_state_dict": plateau.__dict__ | {"optimizer": None},
     }
     path = tmp_path / "10_gen_net.pt"
-    torch.save(whole, path, _use_new_zipfile_serialization=not legacy)
+    torch.save(content, path, _use_new_zipfile_serialization=not legacy)
     loaded = load_generator(path)
-    z, (bps, _) = torch.randn(4, 5), some(1, SIZE[0])
+    z, (bps, _) = torch.randn(4, 5), random_inputs(1, SIZE[0])
     with torch.no_grad():
         np.testing.assert_allclose(
             loaded.decode(z, bps).joints, network.decode(z, bps).joints, atol=1e-6
@@ -246,16 +260,17 @@ def test_the_authors_containers_load(tmp_path: Path, legacy: bool) -> None:
 def test_a_checkpoint_runs_nothing(
     tmp_path: Path, legacy: bool, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    """Catches code that a pickle runs while it is loaded."""
     path = tmp_path / "bad.pt"
     torch.save(
-        {"ffhevaluator_state_dict": {"bn1.weight": torch.ones(3)}, "more": Runs()},
+        {"ffhevaluator_state_dict": {"bn1.weight": torch.ones(3)}, "more": RunsACommand()},
         path,
         _use_new_zipfile_serialization=not legacy,
     )
     with pytest.raises(UsageError, match="system is refused"):
         read_weights(path, "ffhevaluator_state_dict")
     assert "ran this" not in capfd.readouterr().out
-    (tmp_path / "plain.pt").write_bytes(pickle.dumps(Runs()))
+    (tmp_path / "plain.pt").write_bytes(pickle.dumps(RunsACommand()))
     with pytest.raises(UsageError):
         read_weights(tmp_path / "plain.pt")
 
@@ -263,6 +278,7 @@ def test_a_checkpoint_runs_nothing(
 def test_a_published_file_is_known_by_its_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Catches recognition by name or size, not by content."""
     known, other = tmp_path / "a.pt", tmp_path / "b.pt"
     known.write_bytes(b"published")
     other.write_bytes(b"publishes")
@@ -274,7 +290,8 @@ def test_a_published_file_is_known_by_its_bytes(
 
 
 def test_wrong_weights_are_named(tmp_path: Path) -> None:
-    weights = filled(FFHEvaluator(*SIZE)).state_dict()
+    """Catches missing, unknown or misshapen weights that load, and errors that don't name them."""
+    weights = with_fixed_weights(FFHEvaluator(*SIZE)).state_dict()
     for change, match in (
         ({"rb2.fc1.weight": None}, "rb2.fc1.weight is missing"),
         ({"rb2.fc1.weight": torch.ones(2, 2)}, "rb2.fc1.weight has shape"),
@@ -294,11 +311,14 @@ def test_wrong_weights_are_named(tmp_path: Path) -> None:
         networks_of(GraspsConfig(evaluator=str(small)))
 
 
-# the stage
+# the grasp stage
 
 
 def half_shell(seed: int = 0) -> Array:
-    """The upper half of an upright cylinder 7 cm across and 12 cm tall, as a camera 0.4 m over it sees it."""
+    """Points (n, 3) m on side and top of an upright cylinder, 7 cm in diameter and 12 cm tall.
+
+    They are in the frame of a camera 0.4 m above its top that looks straight down.
+    """
     rng = np.random.default_rng(seed)
     angle, height = rng.uniform(0, 2 * np.pi, 1500), rng.uniform(0.0, 0.12, 1500)
     side = np.stack([0.035 * np.cos(angle), 0.035 * np.sin(angle), 0.4 + height], axis=1)
@@ -309,6 +329,7 @@ def half_shell(seed: int = 0) -> Array:
 
 
 def test_grasps_go_along_with_the_cloud_and_repeat() -> None:
+    """Catches a mean not added back, draws that don't repeat, and scores of other poses."""
     networks = networks_of(GraspsConfig())
     cloud = half_shell()
     here = propose(encode_cloud(cloud, networks), networks, 64, 0, 5)
@@ -335,17 +356,16 @@ def test_grasps_go_along_with_the_cloud_and_repeat() -> None:
 
 
 def test_the_far_side_of_what_stands_is_not_free() -> None:
-    """Catches a hand in the part of an object that the camera never saw, and the plane's side taken wrongly."""
+    """Catches hands accepted in an object's unseen part, and a support plane of the wrong side."""
     rng = np.random.default_rng(0)
-    top = np.column_stack(
-        [rng.uniform(-0.05, 0.05, (800, 2)), np.full(800, 0.10)]
-    )  # a block 10 cm high, seen from above
+    # a block 10 cm high, seen from above
+    top = np.column_stack([rng.uniform(-0.05, 0.05, (800, 2)), np.full(800, 0.10)])
     normal, offset = np.array([0.0, 0.0, 1.0]), 0.0
     under = standing_points(top, normal, offset)
     assert under[:, 2].min() > 0.0
     assert under[:, 2].max() < 0.10
     assert np.abs(under[:, :2]).max() < 0.06
-    # as deep as it is wide: nothing of the block is farther than some 12 mm from one of its points
+    # the points fill the block: no place in it is farther than 12 mm from one of them
     inside = rng.uniform([-0.045, -0.045, 0.01], [0.045, 0.045, 0.08], (200, 3))
     assert cKDTree(under).query(inside)[0].max() < 0.012
     turned = Rotation.from_euler("xyz", [0.4, -0.3, 1.0]).as_matrix()
@@ -369,8 +389,8 @@ def test_the_far_side_of_what_stands_is_not_free() -> None:
     assert after.sum() < before.sum()
 
 
-def test_the_way_to_a_grasp_through_the_object_is_not_free() -> None:
-    """Catches a way looked for behind the grasp, or longer than the hand is away, and one asked for though it is turned off."""
+def test_an_approach_through_the_object_is_not_free() -> None:
+    """Catches an approach checked behind the grasp, beyond the hand, or though it is turned off."""
     networks = networks_of(GraspsConfig())
     grid = np.stack(np.meshgrid(*[np.linspace(-0.03, 0.03, 13)] * 3), axis=-1).reshape(-1, 3)
     cloud = encode_cloud(grid, networks)
@@ -378,24 +398,21 @@ def test_the_way_to_a_grasp_through_the_object_is_not_free() -> None:
     pose[0, 3] = 0.30  # well beside the block
     joints, config = np.zeros(15), GraspsConfig(way_m=0.06)
     assert free_of(cloud, pose[None], joints[None], None, 0.004).all()
-    assert way_free(
-        cloud, pose, joints, np.array([0.6, 0.0, 0.0]), None, config
-    )  # from its own side
-    assert way_free(
-        cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, config
-    )  # 6 cm nearer to the block is still free
+    # from its own side
+    assert way_free(cloud, pose, joints, np.array([0.6, 0.0, 0.0]), None, config)
+    # from the block's side; 6 cm nearer to the block is still free
+    assert way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, config)
     through = config.model_copy(update={"way_m": 0.45})
-    assert not way_free(
-        cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, through
-    )  # a step of it lies in the block
-    assert way_free(
-        cloud, pose, joints, np.array([0.25, 0.0, 0.0]), None, through
-    )  # no farther than where the hand is
+    # a step of the approach lies in the block
+    assert not way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, through)
+    # the approach is checked no farther than the hand is away
+    assert way_free(cloud, pose, joints, np.array([0.25, 0.0, 0.0]), None, through)
     assert way_free(cloud, pose, joints, pose[:3, 3], None, through)
     assert way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, GraspsConfig())
 
 
 def test_shipped_networks_know_a_grasp_from_a_hand_in_the_air() -> None:
+    """Catches shipped weights that are loaded wrongly, or used with another frame or basis."""
     networks = networks_of(GraspsConfig())
     cloud = encode_cloud(half_shell(), networks)
     drawn = propose(cloud, networks, 256, 0, 0)
@@ -409,9 +426,12 @@ def test_shipped_networks_know_a_grasp_from_a_hand_in_the_air() -> None:
 
 @pytest.mark.parametrize("upright", [True, False])
 def test_upright_grasps_do_not_turn_with_the_camera(upright: bool) -> None:
-    """Catches a cloud given in the camera's axes to weights that learned z down: grasps then fall into the table."""
+    """Catches clouds in the camera's axes given to weights that were trained with z down.
+
+    Grasps then fall into the table.
+    """
     shipped = networks_of(GraspsConfig())
-    assert shipped.upright  # by the file's own word
+    assert shipped.upright  # from the file's metadata
     source = FFHNetGrasps(replace(shipped, upright=upright), GraspsConfig(support_z=0.0), 0, 0)
     T_base_object, held = np.eye(4), []
     T_base_object[:3, 3] = (0.5, 0.1, 0.04)
@@ -428,7 +448,7 @@ def test_upright_grasps_do_not_turn_with_the_camera(upright: bool) -> None:
         assert proposals is not None
         free = proposals.free(np.arange(len(proposals.scores)))
         held.append((proposals.T_object_palm, proposals.scores, free))
-        # the score of a candidate's own pose is the candidate's, whatever the axes
+        # the score of a candidate's own pose is the candidate's score, whatever the axes
         k = int(np.argmax(proposals.scores))
         own = source.score(
             proposals, k, T_base_object, T_base_object @ proposals.T_object_palm[k], np.eye(4)
@@ -445,7 +465,10 @@ def test_upright_grasps_do_not_turn_with_the_camera(upright: bool) -> None:
 
 
 def test_arm_of_the_description_is_the_arm() -> None:
-    """Against MuJoCo's kinematics of the same arm: a frame, an axis or a limit mistaken."""
+    """Catches a wrong frame, axis or joint limit in the arm that is read from the description.
+
+    The reference is MuJoCo's kinematics of the same arm.
+    """
     description = load_description(robot_urdf(T_hand_camera, FIVE_FINGERS), "arm", (), 0.012)
     palm = next(link for link in description.joints if "palm" in link)
     arm = arm_of(description, "base_link", palm)
@@ -453,7 +476,7 @@ def test_arm_of_the_description_is_the_arm() -> None:
     kinematics = ArmKinematics(FIVE_FINGERS.T_hand_palm)
     rng = np.random.default_rng(1)
     np.testing.assert_allclose([j.lower for j in arm.movable], LOWER, atol=1e-6)
-    found = 0
+    solutions = 0
     for _ in range(20):
         q = rng.uniform(LOWER + 0.1, UPPER - 0.1)
         T, J = arm.palm(q)
@@ -462,25 +485,29 @@ def test_arm_of_the_description_is_the_arm() -> None:
         np.testing.assert_allclose((moved - T)[:3, 3] / 1e-6, J[:3, 3], atol=1e-4)
         solved = arm.solve(T, np.clip(q + rng.normal(0, 0.3, 7), LOWER, UPPER))
         if solved is not None:
-            found += 1
+            solutions += 1
             assert ((solved >= LOWER - 1e-9) & (solved <= UPPER + 1e-9)).all()
             assert np.linalg.norm(arm.palm(solved)[0][:3, 3] - T[:3, 3]) < 1e-3
-    assert found >= 16
+    assert solutions >= 16
     far = np.eye(4)
     far[:3, 3] = (2.5, 0, 0.3)
     assert arm.solve(far, np.zeros(7)) is None
 
 
 def test_what_is_not_in_the_paper_is_named() -> None:
-    """Catches a rule of ours that runs in silence, and one that is named where the paper's own runs."""
+    """Catches a rule of ours that is not reported, and one that is reported but not in use."""
     assert Config().beyond_the_paper() == []
     named = " ".join(load_scenario("conveyor").pipeline.beyond_the_paper())
-    for what in ("kept until", "12 mm beyond", "within 5 mm"):
-        assert what in named
+    for rule in ("kept until", "12 mm beyond", "within 5 mm"):
+        assert rule in named
 
 
 def test_a_hand_on_its_way_is_not_executed() -> None:
-    """Ours: at the grasp alone; by score alone, as the paper, where no distance is set. Catches degrees for radians."""
+    """Catches execution far from the grasp, a distance rule that is not set, degrees for radians.
+
+    Our rule executes at the grasp only. The paper's goes by score alone, and holds if no distance
+    is set.
+    """
     T = np.eye(4)
     near, far, turned = (
         increment(np.array([0.007, 0, 0, 0, 0, 0])),
@@ -501,7 +528,7 @@ def test_a_hand_on_its_way_is_not_executed() -> None:
 
 
 def test_whole_steps_keep_the_weights(tmp_path: Path) -> None:
-    """Catches a step of the wrong axis, and files whose axes are forgotten."""
+    """Catches steps per column, not per row, and files without the note that clouds are upright."""
     torch.manual_seed(0)
     network = FFHEvaluator(32, 16, 8).eval()
     export(network, tmp_path / "ffhnet_evaluator.safetensors")
