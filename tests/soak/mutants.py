@@ -1,0 +1,684 @@
+"""Faults put into the verdict one by one; of each the test that is meant to catch it must fail.
+
+Catches a test that no longer sees the fault it is there for: a threshold that is crossed by
+touching it, a sign, an order of steps, earlier and later swapped. The tests run on a copy of the
+tracked files in a temporary folder; the working tree is not touched.
+
+    python tests/soak/mutants.py            # all, some 8 s each
+    python tests/soak/mutants.py --few      # the first five
+    python tests/soak/mutants.py --only 12  # one, by its number
+
+Exit code: 0 if all are killed, 1 if one survives, 2 if the list or the tests don't fit the code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+FEW = 5
+DECIDE, DRAWS = "dgeval/verdict/decide.py", "dgeval/verdict/draws.py"
+GEOMETRIC, JUDGE = "dgeval/verdict/geometric.py", "dgeval/verdict/judge.py"
+OUTCOME, PICTURE = "dgeval/verdict/outcome.py", "dgeval/verdict/picture.py"
+SENTENCE, RULE = "dgeval/verdict/sentence.py", "dgeval/failure_rule.py"
+TEST_BLAME, TEST_DECIDE = "tests/verdict/test_blame.py", "tests/verdict/test_decide.py"
+TEST_OUTCOME, TEST_PICTURE = "tests/verdict/test_outcome.py", "tests/verdict/test_picture.py"
+TEST_SENTENCE, TEST_TABLE = "tests/verdict/test_sentence.py", "tests/verdict/test_sub_causes.py"
+TEST_RULE, TEST_LINES = "tests/test_failure_rule.py", "tests/test_failure_rule_lines.py"
+
+
+class Mutant(NamedTuple):
+    """A fault: `old`, which stands once in the file, becomes `new`; the test that must fail."""
+
+    file: str
+    old: str
+    new: str
+    test: str
+
+
+MUTANTS = [
+    # the first FEW: a threshold, an order of steps, a vote, a sign, a sentence
+    Mutant(
+        RULE,
+        "facts.displacement_m > th.moved_m",
+        "facts.displacement_m >= th.moved_m",
+        f"{TEST_LINES}::test_moved_is_strictly_more_than_5_mm_or_5_degrees",
+    ),
+    Mutant(
+        DECIDE,
+        "if draws.reproduced < TRUSTED:",
+        "if draws.reproduced < TRUSTED and p >= least:",
+        f"{TEST_DECIDE}::test_doubts_come_in_the_order_instrument_collision_probability",
+    ),
+    Mutant(
+        DECIDE,
+        "weights = np.array([d.weight for d in asked])",
+        "weights = np.ones(len(asked))",
+        f"{TEST_DECIDE}::test_votes_are_weighted_by_how_well_a_draw_agrees_with_the_log",
+    ),
+    Mutant(
+        DRAWS,
+        "key=lambda k: -weights[k]",
+        "key=lambda k: weights[k]",
+        f"{TEST_DECIDE}::test_the_draws_that_agree_best_are_asked_first",
+    ),
+    Mutant(
+        SENTENCE,
+        '"earlier" if shift < 0 else "later"',
+        '"later" if shift < 0 else "earlier"',
+        f"{TEST_SENTENCE}::test_timing_of_a_hand_that_closed",
+    ),
+    # the failure rule
+    Mutant(
+        RULE,
+        "facts.displacement_deg > th.moved_deg",
+        "facts.displacement_deg >= th.moved_deg",
+        f"{TEST_LINES}::test_moved_is_strictly_more_than_5_mm_or_5_degrees",
+    ),
+    Mutant(
+        RULE,
+        "facts.height_m >= th.unstable_m",
+        "facts.height_m > th.unstable_m",
+        f"{TEST_LINES}::test_from_20_mm_on_it_was_lifted_and_lost",
+    ),
+    Mutant(
+        RULE,
+        "if facts.overlap_m <= th.overlap_m:",
+        "if facts.overlap_m < th.overlap_m:",
+        f"{TEST_LINES}::test_up_to_2_mm_of_overlap_the_object_put_back_is_believed",
+    ),
+    Mutant(
+        RULE,
+        "c[0] <= facts.contact_s",
+        "c[0] < facts.contact_s",
+        f"{TEST_LINES}::test_a_close_at_the_last_tick_before_contact_counts_as_before_it",
+    ),
+    Mutant(
+        RULE,
+        "earlier = nearest_run(before, th.consecutive)",
+        "earlier = nearest_run(facts.curve, th.consecutive)",
+        f"{TEST_RULE}::test_overlap_proves_nothing",
+    ),
+    Mutant(
+        RULE,
+        "shift is not None and shift > 0,",
+        "shift is not None and shift < 0,",
+        f"{TEST_RULE}::test_two_other_closes_in_a_row_are_timing",
+    ),
+    Mutant(
+        RULE,
+        "lambda facts, shift, th: not facts.closed,",
+        "lambda facts, shift, th: facts.closed,",
+        f"{TEST_RULE}::test_never_closed",
+    ),
+    Mutant(
+        RULE,
+        "lambda facts, shift, th: facts.height_m >= th.unstable_m,",
+        "lambda facts, shift, th: True,",
+        f"{TEST_TABLE}::test_every_row_is_reached",
+    ),
+    Mutant(  # step 1: a push asked before another close
+        RULE,
+        "if shift is not None:\n",
+        "if shift is not None and not moved:\n",
+        f"{TEST_LINES}::test_a_hand_that_never_closed_is_first_asked_for_another_close",
+    ),
+    Mutant(  # step 4 before 2 and 3
+        RULE,
+        "    if moved:",
+        "    if moved and shift is None:",
+        f"{TEST_RULE}::test_a_push_is_a_collision_only_if_it_mattered",
+    ),
+    Mutant(
+        RULE,
+        "parted = bool(run) and run[-1] < 0 < offset",
+        "parted = False",
+        f"{TEST_LINES}::test_the_nearest_close_of_a_run",
+    ),
+    Mutant(
+        RULE,
+        "nearest = min(run, key=abs)",
+        "nearest = max(run, key=abs)",
+        f"{TEST_LINES}::test_the_nearest_close_of_a_run",
+    ),
+    Mutant(
+        RULE,
+        "len(run) >= consecutive",
+        "len(run) > consecutive",
+        f"{TEST_LINES}::test_how_many_closes_make_a_run_is_a_setting",
+    ),
+    Mutant(
+        RULE,
+        "HANDED_OVER = Thresholds(moved_m=0.012)",
+        "HANDED_OVER = Thresholds()",
+        f"{TEST_LINES}::test_a_handed_over_object_may_give_way_by_12_mm",
+    ),
+    # the decision: steps 1 to 5
+    Mutant(
+        DECIDE,
+        "if sd_m > BLIND_SD_M:",
+        "if sd_m >= BLIND_SD_M:",
+        f"{TEST_DECIDE}::test_a_place_that_is_not_known_asks_no_instrument",
+    ),
+    Mutant(
+        DECIDE,
+        "if draws.reproduced < TRUSTED:",
+        "if draws.reproduced < 2 * TRUSTED:",
+        f"{TEST_DECIDE}::test_an_instrument_that_hardly_ever_fails_is_not_trusted",
+    ),
+    Mutant(  # 4b before 4a
+        DECIDE,
+        "if draws.reproduced < TRUSTED:",
+        'if draws.reproduced < TRUSTED and best != "collision":',
+        f"{TEST_DECIDE}::test_doubts_come_in_the_order_instrument_collision_probability",
+    ),
+    Mutant(
+        DECIDE,
+        'if best == "collision" and draws.reproduced < RARELY:',
+        'if best == "collision" and draws.reproduced <= RARELY:',
+        f"{TEST_DECIDE}::test_a_collision_needs_a_failure_in_a_quarter_of_the_draws",
+    ),
+    Mutant(
+        DECIDE,
+        'if best == "collision" and draws.reproduced < RARELY:',
+        "if draws.reproduced < RARELY:",
+        f"{TEST_DECIDE}::test_a_rare_failure_of_another_class_is_believed",
+    ),
+    Mutant(  # 4c before 4b
+        DECIDE,
+        'if best == "collision" and draws.reproduced < RARELY:',
+        'if best == "collision" and draws.reproduced < RARELY and p >= least:',
+        f"{TEST_DECIDE}::test_doubts_come_in_the_order_instrument_collision_probability",
+    ),
+    Mutant(
+        DECIDE,
+        "if p < least:",
+        "if p <= least:",
+        f"{TEST_DECIDE}::test_a_class_must_be_as_likely_as_asked",
+    ),
+    Mutant(
+        DECIDE,
+        "PRIOR = 0.15",
+        "PRIOR = 0.0",
+        f"{TEST_DECIDE}::test_a_class_must_be_as_likely_as_asked",
+    ),
+    Mutant(
+        DECIDE,
+        "halved = (float(p[0]) / 2,",
+        "halved = (float(p[0]),",
+        f"{TEST_DECIDE}::test_of_an_unknown_class_the_probabilities_are_halved",
+    ),
+    Mutant(
+        DECIDE,
+        "best = int(np.argmax(p))",
+        "best = int(np.argmin(p))",
+        f"{TEST_DECIDE}::test_draws_that_agree_give_their_class",
+    ),
+    Mutant(
+        DECIDE,
+        "lead = max(chosen, key=lambda d: d.reproduced).verdict",
+        "lead = chosen[0].verdict",
+        f"{TEST_DECIDE}::test_the_sub_cause_is_that_of_a_draw_that_ends_as_recorded",
+    ),
+    Mutant(
+        DECIDE,
+        "for d in chosen if d.verdict.sub_cause == lead.sub_cause]",
+        "for d in chosen]",
+        f"{TEST_DECIDE}::test_the_shift_is_the_median_over_draws_of_the_same_sub_cause",
+    ),
+    Mutant(
+        DECIDE,
+        "float(np.median(shifts))",
+        "float(np.mean(shifts))",
+        f"{TEST_DECIDE}::test_the_shift_is_the_median_over_draws_of_the_same_sub_cause",
+    ),
+    Mutant(
+        DECIDE,
+        "if d.verdict.failure_class == self.answer.failure_class]",
+        "]",
+        f"{TEST_BLAME}::test_only_draws_of_the_class_are_asked",
+    ),
+    # blame: step 6
+    Mutant(  # 6.2 before 6.1
+        DECIDE,
+        "if isinstance(answer, Unknown):  # 6.1",
+        "if isinstance(answer, Unknown) and not isinstance(beliefs, Unknown):  # 6.1",
+        f"{TEST_BLAME}::test_an_unknown_class_has_no_part_to_blame",
+    ),
+    Mutant(
+        DECIDE,
+        'if answer.sub_cause == "early":',
+        'if answer.sub_cause == "late":',
+        f"{TEST_BLAME}::test_a_hand_that_closed_early_is_off_its_grasp_because_of_that",
+    ),
+    Mutant(
+        DECIDE,
+        "if shares[part] > ENOUGH]",
+        "if shares[part] >= ENOUGH]",
+        f"{TEST_BLAME}::test_half_of_the_draws_are_not_enough",
+    ),
+    Mutant(
+        DECIDE,
+        "if sizes[p] > TOLERANCE_M)",
+        "if sizes[p] > 0.0)",
+        f"{TEST_BLAME}::test_a_part_within_what_grasps_survive_is_not_blamed",
+    ),
+    Mutant(
+        DECIDE,
+        "if wrong_law(beliefs) and not huge and all(",
+        "if wrong_law(beliefs) and all(",
+        f"{TEST_BLAME}::test_a_wrong_law_does_not_hide_a_huge_error",
+    ),
+    Mutant(  # 6.5 before 6.6 whatever restores success
+        DECIDE,
+        "all(sizes[p] < 2 * TOLERANCE_M for p in restoring)",
+        "True",
+        f"{TEST_BLAME}::"
+        "test_a_wrong_law_does_not_hide_a_part_that_restores_and_is_twice_the_tolerance",
+    ),
+    Mutant(
+        DECIDE,
+        "_stands_out(restoring, sizes, CLEARLY)",
+        "_stands_out(restoring, sizes, CLEARLY_ALL)",
+        f"{TEST_BLAME}::test_of_two_that_would_do_the_one_half_as_large_again",
+    ),
+    Mutant(
+        DECIDE,
+        "_stands_out(large, sizes, CLEARLY_ALL)",
+        "_stands_out(large, sizes, CLEARLY)",
+        f"{TEST_BLAME}::test_where_only_all_together_restore_one_must_be_twice_the_next",
+    ),
+    Mutant(  # 6.7 before 6.6
+        DECIDE,
+        "if _stands_out(restoring, sizes, CLEARLY):",
+        "if _stands_out(restoring, sizes, CLEARLY) and large[0] == restoring[0]:",
+        f"{TEST_BLAME}::test_the_largest_may_be_blamed_though_smaller_ones_restore_alone",
+    ),
+    Mutant(  # 6.8 before 6.7
+        DECIDE,
+        'if shares["all"] > ENOUGH and _stands_out(',
+        'if not restoring and shares["all"] > ENOUGH and _stands_out(',
+        f"{TEST_BLAME}::test_the_largest_may_be_blamed_though_smaller_ones_restore_alone",
+    ),
+    Mutant(  # 6.10 before 6.8
+        DECIDE,
+        "if restoring:  # 6.8",
+        'if restoring and answer.failure_class != "timing":  # 6.8',
+        f"{TEST_BLAME}::test_a_part_that_restores_a_timing_failure_goes_before_execution",
+    ),
+    Mutant(  # 6.10 before 6.9
+        DECIDE,
+        "if huge:  # 6.9",
+        'if huge and answer.failure_class != "timing":  # 6.9',
+        f"{TEST_BLAME}::test_a_huge_error_is_blamed_before_execution",
+    ),
+    Mutant(  # 6.11 before 6.10
+        DECIDE,
+        'if answer.failure_class == "timing":  # 6.10',
+        'if answer.failure_class == "timing" and not large:  # 6.10',
+        f"{TEST_BLAME}::test_a_close_at_the_wrong_time_is_executions",
+    ),
+    Mutant(
+        DECIDE,
+        "abs(answer.shift_s or 0.0)",
+        "(answer.shift_s or 0.0)",
+        f"{TEST_BLAME}::test_a_close_at_the_wrong_time_is_executions",
+    ),
+    Mutant(
+        DECIDE,
+        "1.0 - max(shares.values())",
+        "1.0",
+        f"{TEST_BLAME}::test_where_no_part_is_off_what_the_robot_was_after_fails_too",
+    ),
+    Mutant(
+        DECIDE,
+        "level, upright = beliefs.gains",
+        "upright, level = beliefs.gains",
+        f"{TEST_BLAME}::test_what_counts_as_a_wrong_law",
+    ),
+    Mutant(
+        DECIDE,
+        "not 1 / GAINS_APART < upright / level < GAINS_APART",
+        "upright / level >= GAINS_APART",
+        f"{TEST_BLAME}::test_what_counts_as_a_wrong_law",
+    ),
+    Mutant(
+        DECIDE,
+        'if sizes["servo"] <= TOLERANCE_M and goal > ENOUGH:',
+        "if goal > ENOUGH:",
+        f"{TEST_BLAME}::test_never_closed_and_not_at_its_grasp_is_not_executions",
+    ),
+    Mutant(  # 6.4b before 6.4a
+        DECIDE,
+        'if sizes["servo"] <= TOLERANCE_M and goal > ENOUGH:',
+        'if not off and sizes["servo"] <= TOLERANCE_M and goal > ENOUGH:',
+        f"{TEST_BLAME}::test_never_closed_at_a_grasp_that_would_have_held_is_executions",
+    ),
+    Mutant(
+        DECIDE,
+        "if sizes.get(part, 0.0) > NEVER_CLOSED_M]",
+        "if sizes.get(part, 0.0) > TOLERANCE_M]",
+        f"{TEST_BLAME}::test_never_closed_the_one_part_that_is_off",
+    ),
+    Mutant(
+        DECIDE,
+        'if sizes["servo"] <= TOLERANCE_M and beliefs.goal is not None:',
+        'if sizes["servo"] <= TOLERANCE_M:',
+        f"{TEST_BLAME}::test_never_closed_at_a_grasp_that_would_not_have_held_is_synthesis",
+    ),
+    # the draws
+    Mutant(
+        DRAWS,
+        "[: max(MOST, draws)]",
+        "[:MOST]",
+        f"{TEST_DECIDE}::test_how_many_draws_are_asked",
+    ),
+    Mutant(
+        DRAWS,
+        "off - off.min(axis=0)",
+        "off",
+        f"{TEST_DECIDE}::test_disagreement_is_measured_from_the_best_draw",
+    ),
+    Mutant(
+        DRAWS,
+        "wider = 1.0 if k < PROBES // 2 else 2.0",
+        "wider = 1.0",
+        f"{TEST_DECIDE}::test_how_widely_the_draws_are_spread",
+    ),
+    Mutant(
+        DRAWS,
+        "np.radians(float(np.clip(scene.sd_deg, SD_LEAST_DEG, SD_MOST_DEG)))",
+        "float(np.clip(scene.sd_deg, SD_LEAST_DEG, SD_MOST_DEG))",
+        f"{TEST_DECIDE}::test_how_widely_the_draws_are_spread",
+    ),
+    Mutant(
+        DRAWS,
+        "if k == 0:",
+        "if k == 1:",
+        f"{TEST_DECIDE}::test_the_first_draw_is_the_best_guess_and_the_others_are_repeatable",
+    ),
+    Mutant(
+        DRAWS,
+        "[1.0 if reproduced else NOT_REPRODUCED for",
+        "[1.0 for",
+        f"{TEST_DECIDE}::test_draws_without_the_failure_count_0_3",
+    ),
+    Mutant(
+        DRAWS,
+        "sum(reproduced for _, reproduced in probes) / len(probes)",
+        "sum(d.reproduced for d in asked) / len(asked)",
+        f"{TEST_DECIDE}::test_a_rare_failure_of_another_class_is_believed",
+    ),
+    Mutant(
+        DRAWS,
+        "thresholds = HANDED_OVER if scene.held else Thresholds()",
+        "thresholds = Thresholds()",
+        f"{TEST_DECIDE}::test_a_held_object_has_its_own_thresholds_and_solid",
+    ),
+    Mutant(
+        DRAWS,
+        "except ValueError as error:",
+        "except KeyError as error:",
+        f"{TEST_DECIDE}::test_a_cloud_without_a_solid_has_no_decision_and_says_why",
+    ),
+    # geometry alone
+    Mutant(
+        GEOMETRIC,
+        "real[k] = free[k] + (held",
+        "real[k] = free[k] - (held",
+        f"{TEST_DECIDE}::test_geometry_a_pushed_object_that_the_hand_would_have_missed_anyway",
+    ),
+    Mutant(
+        GEOMETRIC,
+        "- real[end] - scene.velocity * dt",
+        "- real[end] + scene.velocity * dt",
+        f"{TEST_DECIDE}::test_geometry_a_belt_carries_the_object_to_and_from_a_waiting_hand",
+    ),
+    Mutant(
+        GEOMETRIC,
+        "gap = places[end] + velocity * dt",
+        "gap = places[end] - velocity * dt",
+        f"{TEST_DECIDE}::test_geometry_early",
+    ),
+    Mutant(
+        GEOMETRIC,
+        "ok = bool(np.linalg.norm(places[end] - free[end]) < REACH_M)",
+        "ok = bool(np.linalg.norm(places[end] - real[end]) < REACH_M)",
+        f"{TEST_DECIDE}::test_geometry_a_pushed_object_that_would_have_been_in_the_grasp",
+    ),
+    Mutant(
+        GEOMETRIC,
+        "if np.linalg.norm(places[k] - real_now) < NEAR_M:",
+        "if True:",
+        f"{TEST_DECIDE}::test_geometry_a_sighting_off_the_path_far_from_the_hand_is_no_push",
+    ),
+    Mutant(
+        GEOMETRIC,
+        "float(np.sort(off[:, 0])[-3:].min())",
+        "float(off[:, 0].max())",
+        f"{TEST_DECIDE}::test_geometry_two_sightings_alone_are_no_push",
+    ),
+    # the sentence and the row
+    Mutant(
+        SENTENCE,
+        "+ round(shift_s * 1e9)",
+        "- round(shift_s * 1e9)",
+        f"{TEST_SENTENCE}::test_timing_of_a_hand_that_closed",
+    ),
+    Mutant(
+        SENTENCE,
+        "(self.last_ns if self.close_ns is None else self.close_ns)",
+        "(self.close_ns or self.first_ns)",
+        f"{TEST_SENTENCE}::test_timing_of_a_hand_that_never_closed",
+    ),
+    Mutant(
+        SENTENCE,
+        "facts.displacement_m > PUSHED_TOO_M",
+        "facts.displacement_m >= PUSHED_TOO_M",
+        f"{TEST_SENTENCE}::test_imprecise_pose",
+    ),
+    Mutant(
+        SENTENCE,
+        "max(decision.probabilities)",
+        "decision.probabilities[0]",
+        f"{TEST_SENTENCE}::test_timing_of_a_hand_that_closed",
+    ),
+    Mutant(
+        RULE,
+        '"The object was lifted and slipped; ',
+        '"The object was not in the grasp; ',
+        f"{TEST_SENTENCE}::test_imprecise_pose",
+    ),
+    Mutant(
+        JUDGE,
+        "hindsight.pushed_ns or hindsight.contact_ns",
+        "hindsight.contact_ns or hindsight.pushed_ns",
+        f"{TEST_SENTENCE}::test_collision",
+    ),
+    Mutant(
+        JUDGE,
+        "return times.pushed_ns or times.close_ns",
+        "return times.close_ns",
+        f"{TEST_SENTENCE}::test_the_decisive_moment_of_a_collision",
+    ),
+    Mutant(
+        JUDGE,
+        "Times(trial.pairs[0][0], ",
+        'Times(trial.event_ns("trial_start"), ',
+        f"{TEST_SENTENCE}::test_collision",
+    ),
+    Mutant(
+        JUDGE,
+        "max(sorted(set(links)), key=links.count)",
+        "links[0]",
+        f"{TEST_SENTENCE}::test_the_link_that_most_draws_name",
+    ),
+    Mutant(
+        JUDGE,
+        "p_blame=None if isinstance(blame.part, Unknown) else blame.probability",
+        "p_blame=blame.probability",
+        f"{TEST_SENTENCE}::test_the_row_of_a_doubt",
+    ),
+    # how it ended, and the picture
+    Mutant(
+        OUTCOME,
+        "* 1e-9 < AFTER_S:",
+        "* 1e-9 <= AFTER_S:",
+        f"{TEST_OUTCOME}::test_from_one_second_on_the_fingers_are_at_rest",
+    ),
+    Mutant(
+        OUTCOME,
+        "label = spec.label or next(",
+        "label = next(",
+        f"{TEST_OUTCOME}::test_the_manifests_label_goes_before_the_logs",
+    ),
+    Mutant(
+        OUTCOME,
+        "if pressing >= 2:",
+        "if pressing >= 1:",
+        f"{TEST_OUTCOME}::test_two_fingers_with_more_than_0_05_nm_hold",
+    ),
+    Mutant(
+        OUTCOME,
+        "np.abs(np.mean(efforts, axis=0))",
+        "np.mean(np.abs(efforts), axis=0)",
+        f"{TEST_OUTCOME}::test_efforts_are_judged_by_their_mean_over_the_last_half_second",
+    ),
+    Mutant(
+        OUTCOME,
+        "positions.sum(axis=1)",
+        "positions.max(axis=1)",
+        f"{TEST_OUTCOME}::test_jaws_hold_what_keeps_them_2_mm_apart",
+    ),
+    Mutant(
+        OUTCOME,
+        "fingers[0] != seen[0]",
+        "fingers[0] == seen[0]",
+        f"{TEST_OUTCOME}::test_fingers_and_sightings_together",
+    ),
+    Mutant(
+        OUTCOME,
+        "confident if held else 1 - confident",
+        "confident",
+        f"{TEST_OUTCOME}::test_fingers_and_sightings_together",
+    ),
+    Mutant(
+        OUTCOME,
+        "if rise < LEFT_BEHIND_M:",
+        "if rise > LEFT_BEHIND_M:",
+        f"{TEST_OUTCOME}::test_an_object_left_on_its_support",
+    ),
+    Mutant(
+        OUTCOME,
+        "near[0] < AWAY_M",
+        "near[0] < IN_HAND_M",
+        f"{TEST_OUTCOME}::test_an_object_up_with_the_hand",
+    ),
+    Mutant(
+        OUTCOME,
+        "rise = float(np.median(rises))",
+        "rise = float(np.mean(rises))",
+        f"{TEST_OUTCOME}::test_how_high_it_is_follows_the_median",
+    ),
+    Mutant(
+        PICTURE,
+        "transform(T_camera_base @ hindsight.path.at(t_ns), hindsight.points)",
+        "transform(T_base_camera @ hindsight.path.at(t_ns), hindsight.points)",
+        f"{TEST_PICTURE}::test_the_camera_moves_the_picture",
+    ),
+]
+
+
+def copy_tracked(target: Path) -> None:
+    """The tracked files as they are in the working tree, without data sets and pages."""
+    kept = ("dgeval", "benchmarks", "tests", "pyproject.toml")
+    command = ["git", "ls-files", "-z", *kept]
+    listed = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout
+    for name in filter(None, listed.split("\0")):
+        if (ROOT / name).is_file():
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target / name)
+
+
+def run_python(tree: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Python in the copy, with no compiled files: they would outlive a fault of the same size."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    command = [sys.executable, *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, cwd=tree, env=environment, check=False
+    )
+
+
+def run_tests(tree: Path, *tests: str) -> tuple[int, str]:
+    """Pytest's exit code, 0 passed and 1 failed, and the end of what it printed."""
+    done = run_python(tree, "-m", "pytest", *tests, "-x", "--tb=no", "-m", "not slow")
+    return done.returncode, "\n".join((done.stdout + done.stderr).splitlines()[-5:])
+
+
+def misfit(tree: Path, mutants: list[Mutant]) -> str | None:
+    """Why nothing can be learnt from these mutants; None where they fit and their tests pass."""
+    place = run_python(tree, "-c", "import dgeval; print(dgeval.__file__)").stdout.strip()
+    if not Path(place).resolve().is_relative_to(tree.resolve()):
+        return f"the tests would import {place}, not the copy"
+    for m in mutants:
+        count = (tree / m.file).read_text(encoding="utf-8").count(m.old)
+        if count != 1:
+            return f"stands {count} times in {m.file}, not once: {m.old!r}"
+    code, printed = run_tests(tree, *sorted({m.test for m in mutants}))
+    return f"the tests fail without a fault:\n{printed}" if code else None
+
+
+def survives(tree: Path, mutant: Mutant) -> bool | str:
+    """Whether the test passes all the same; in words, what kept it from running."""
+    path = tree / mutant.file
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace(mutant.old, mutant.new), encoding="utf-8")
+    try:
+        code, printed = run_tests(tree, mutant.test)
+    finally:
+        path.write_text(text, encoding="utf-8")
+    return code == 0 if code in (0, 1) else printed
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    some = parser.add_mutually_exclusive_group()
+    some.add_argument("--only", type=int, metavar="N", help="this mutant alone, from 0")
+    some.add_argument("--few", action="store_true", help=f"the first {FEW} alone")
+    args = parser.parse_args()
+    numbers = list(range(len(MUTANTS)))[: FEW if args.few else None]
+    if args.only is not None:
+        if args.only not in numbers:
+            parser.error(f"--only takes 0 to {len(MUTANTS) - 1}")
+        numbers = [args.only]
+    survivors = broken = 0
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        tree = Path(folder)
+        copy_tracked(tree)
+        why = misfit(tree, [MUTANTS[n] for n in numbers])
+        if why is not None:
+            print(why)
+            return 2
+        for n in numbers:
+            m = MUTANTS[n]
+            found = survives(tree, m)
+            told = "BROKEN" if isinstance(found, str) else "SURVIVED" if found else "killed"
+            survivors += found is True
+            broken += isinstance(found, str)
+            print(f"{n:3d} {told:8s} {m.file}: {m.old.strip()!r} -> {m.new.strip()!r}", flush=True)
+            if told != "killed":
+                print(f"    by {m.test}" if found is True else f"    {found}", flush=True)
+    print(f"{len(numbers)} mutants, {survivors} survived, {broken} could not be tested")
+    return 1 if survivors else 2 if broken else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
