@@ -49,11 +49,11 @@ def decide_scene(
 def draws_of(scene: Scene, method: str, draws: int, seed: int) -> Draws | Unknown:
     """The draws of an instrument; unknown where the object's cloud makes no solid."""
     thresholds = HANDED_OVER if scene.held else Thresholds()
-    if method == "geometry":
-        return Draws((geometric_draw(scene, thresholds),), 1.0, method)
     try:
+        if method == "geometry":
+            return Draws((geometric_draw(scene, thresholds),), 1.0, method)
         return _twins(scene, draws, seed, thresholds)
-    except ValueError as error:  # a cloud that spans no volume, or that MuJoCo refuses
+    except ValueError as error:  # no points, a cloud that spans no volume, or that MuJoCo refuses
         return Unknown(str(error))
 
 

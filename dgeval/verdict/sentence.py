@@ -41,12 +41,10 @@ def sentence(times: Times, ended: Ended, decision: Decision, link: str | None) -
         return f"{closed}, {ended.evidence}; the cause is unknown: {answer.reason}"
     begin = f"{closed}, {ended.evidence}: {CLASS_TEXT[answer.failure_class]} "
     begin += f"({max(decision.probabilities):.0%}). "
-    facts = decision.chosen[0].facts
-    if answer.failure_class == "imprecise_pose" and not facts.curve:
+    row = sub_cause_named(answer.sub_cause)
+    if answer.failure_class == "imprecise_pose" and not decision.chosen[0].facts.curve:
         return begin + "The hand was never near the object"
-    return begin + sub_cause_named(answer.sub_cause).sentence.format(
-        **fields_of(times, decision, link)
-    )
+    return begin + row.sentence.format(**fields_of(times, decision, link))
 
 
 def fields_of(times: Times, decision: Decision, link: str | None) -> dict[str, str | float]:

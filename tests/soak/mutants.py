@@ -540,19 +540,19 @@ MUTANTS = [
         f"{TEST_OUTCOME}::test_the_manifests_label_goes_before_the_logs",
     ),
     Mutant(
-        OUTCOME,
+        "dgeval/robots/dlr_hit_hand.py",
         "if pressing >= 2:",
         "if pressing >= 1:",
         f"{TEST_OUTCOME}::test_two_fingers_with_more_than_0_05_nm_hold",
     ),
     Mutant(
-        OUTCOME,
+        "dgeval/robots/dlr_hit_hand.py",
         "np.abs(np.mean(efforts, axis=0))",
         "np.mean(np.abs(efforts), axis=0)",
         f"{TEST_OUTCOME}::test_efforts_are_judged_by_their_mean_over_the_last_half_second",
     ),
     Mutant(
-        OUTCOME,
+        "dgeval/robots/parallel_jaw.py",
         "positions.sum(axis=1)",
         "positions.max(axis=1)",
         f"{TEST_OUTCOME}::test_jaws_hold_what_keeps_them_2_mm_apart",
