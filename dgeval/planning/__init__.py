@@ -1,1 +1,4 @@
-"""From grasps to commands: candidates, selection, servo, execution, schedule. No I/O, no global state."""
+"""From grasps to commands: candidates, selection, servo, execution, schedule.
+
+No I/O, no global state.
+"""

@@ -1,7 +1,8 @@
-"""Whether to close the fingers now: the evaluator's score of the palm pose against c_e (paper III-B.5).
+"""Whether to close the fingers now: the evaluator's score of the palm pose against c_e.
 
-Ours where `arrived_m` is set: the hand must also be at the grasp. A score that rises along the approach passes a threshold
-centimetres before its best, so that a rule by score alone closes early with any evaluator that isn't flat.
+Paper III-B.5. With `arrived_m` (ours) the hand must also be at the grasp: a score that rises along
+the approach passes a threshold centimetres before its maximum, so a rule by score alone closes the
+hand early with every evaluator that isn't flat.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ def execute(
     T_base_palm: Array | None,
     T_base_grasp: Array,
 ) -> bool | None:
-    """True above the threshold, strictly; None without a score (none was recorded), or where the palm's pose is asked for."""
+    """True if the score is above the threshold, strictly; poses are (4, 4), base frame.
+
+    None without a score (none was recorded), or without a palm pose if `arrived_m` needs one.
+    """
     if hand_score is None:
         return None
     if config.arrived_m is not None:

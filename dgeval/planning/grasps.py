@@ -1,4 +1,4 @@
-"""Grasps of the model cloud by FFHNet: candidates with their scores, and the score of any palm pose (GraspEval)."""
+"""Grasps of the model cloud by FFHNet: scored candidates, and scores of any palm poses."""
 
 from __future__ import annotations
 
@@ -25,25 +25,26 @@ from dgeval.networks.ffhnet import (
     load_generator,
     palms_of,
     poses_of,
-)  # fmt: skip
+)
 from dgeval.planning.hand_overlap import depth_below, overlap, standing_points
 from dgeval.robots.hand import Hand, hand_for
 
-UPRIGHT = np.diag(
-    [1.0, -1.0, -1.0]
-)  # R_cloud_base of what dgeval's own weights learned: z down, whatever the camera's
-OVERLAP_POINTS = 300  # of a cloud, in which overlaps are looked for
+# R_cloud_base for dgeval's own weights: they learned clouds with z down, whatever the camera's axes
+UPRIGHT = np.diag([1.0, -1.0, -1.0])
+OVERLAP_POINTS = 300  # points of a cloud that are tested for lying inside the hand
 CHUNK = 32  # candidates whose overlap is calculated at a time
-KEPT_SLACK = 2.5  # times the overlap allowed, for the grasp chosen last: a cloud's noise shall not take it away
-MOST_TRIED = 32  # candidates out of the arm's reach, after which there is none
-WAY_STEPS = 3
+# factor on the allowed overlap for the grasp chosen before, so that noise of the cloud does not
+# exclude it
+KEPT_SLACK = 2.5
+MOST_TRIED = 32  # candidates that the arm can't reach before the search ends without one
+PATH_STEPS = 3  # places tested on the path to a grasp
 
 
 @dataclass(frozen=True)
 class Networks:
-    """Generator and evaluator of the same basis, for one hand.
+    """Generator and evaluator with the same basis points, for one hand.
 
-    upright: they learned clouds whose z points down; else, as the authors', clouds with the axes of the camera.
+    upright: they learned clouds with z down; else clouds in the camera's axes, as the authors'.
     """
 
     generator: FFHGenerator
@@ -53,18 +54,20 @@ class Networks:
 
     @property
     def n_bps(self) -> int:
+        """Number of basis points."""
         return self.generator.dec_bn1.num_features
 
     def R_cloud_base(self, T_base_camera: Array) -> Array:
-        """(3, 3): the axes that a cloud is to be given in. An upright base frame has its z up."""
+        """Rotation (3, 3) from the base frame, whose z is up, to the axes of the clouds."""
         return UPRIGHT if self.upright else T_base_camera[:3, :3].T
 
 
 @dataclass(frozen=True)
 class EncodedCloud:
-    """What the networks see of a cloud: bps (1, n) of it about its mean (3,) m, in the axes it was given in.
+    """The networks' input for a cloud: bps (1, n) m with the cloud's mean (3,) m subtracted.
 
-    points: some of it (m, 3), and of what stands under it, to look for overlaps with `hand`.
+    points (m, 3) m: a part of the cloud, and points below it inside what stands on the support;
+    they are tested for lying inside `hand`. All in the axes of the cloud.
     """
 
     bps: torch.Tensor
@@ -75,9 +78,9 @@ class EncodedCloud:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Grasps in the frame of the cloud: T_cloud_palm (n, 4, 4), joints before closing (n, 15) rad, scores (n,) in 0..1.
+    """Grasps in the cloud's frame: T_cloud_palm (n, 4, 4), joints (n, 15) rad, scores (n,) in 0..1.
 
-    kept: the last one is the grasp chosen before.
+    joints: before closing. kept: the last one is the grasp chosen before.
     """
 
     T_cloud_palm: Array
@@ -87,38 +90,48 @@ class Candidates:
 
 
 def networks_of(config: GraspsConfig) -> Networks:
-    """The networks of a configuration, read once. UsageError where files are missing, broken or of different bases."""
+    """The networks of a configuration, read once.
+
+    UsageError if a file is missing or broken, or if the two have different numbers of basis points.
+    """
     return _load(config.generator, config.evaluator)
 
 
 @cache
 def _load(generator_file: str | None, evaluator_file: str | None) -> Networks:
     shipped = Path(str(resources.files("dgeval.networks") / "weights"))
-    first = load_generator(
+    grasp_generator = load_generator(
         Path(generator_file) if generator_file else shipped / "ffhnet_generator.safetensors"
     )
-    second = load_evaluator(
+    grasp_evaluator = load_evaluator(
         Path(evaluator_file) if evaluator_file else shipped / "ffhnet_evaluator_fingers.safetensors"
     )
-    networks = Networks(first, second, second.upright)
-    of_evaluator = second.bn1.num_features - 12 - (N_JOINTS if second.joints else 0)
-    if of_evaluator != networks.n_bps:
-        what = f"the generator takes {networks.n_bps} basis points, the evaluator {of_evaluator}"
-        raise UsageError(what, hint="give both of grasps.generator and grasps.evaluator")
+    networks = Networks(grasp_generator, grasp_evaluator, grasp_evaluator.upright)
+    n_evaluator = (
+        grasp_evaluator.bn1.num_features - 12 - (N_JOINTS if grasp_evaluator.joints else 0)
+    )
+    if n_evaluator != networks.n_bps:
+        message = f"the generator takes {networks.n_bps} basis points, the evaluator {n_evaluator}"
+        raise UsageError(message, hint="give both of grasps.generator and grasps.evaluator")
     return networks
 
 
 def encode_cloud(
     points: Array, networks: Networks, support: tuple[Array, float] | None = None
 ) -> EncodedCloud:
-    """points (m, 3) m with the axes that the networks learned; support: normal and offset of the plane they stand on."""
+    """The networks' input for points (m, 3) m, in the axes that the networks learned.
+
+    support: normal (3,) and offset m of the plane that the object stands on.
+    """
     mean = points.mean(axis=0)
     bps = torch.from_numpy(encode(points - mean, basis(networks.n_bps)))[None]
-    some = points[:: -(-len(points) // OVERLAP_POINTS)]
+    sampled = points[:: -(-len(points) // OVERLAP_POINTS)]
     return EncodedCloud(
         bps,
         mean,
-        some if support is None else np.concatenate([some, standing_points(points, *support)]),
+        sampled
+        if support is None
+        else np.concatenate([sampled, standing_points(points, *support)]),
         networks.hand,
     )
 
@@ -126,7 +139,11 @@ def encode_cloud(
 def draw(
     bps: torch.Tensor, network: FFHGenerator, n: int, seed: int, stage: str, frame: int
 ) -> tuple[Array, Array]:
-    """n grasps of a cloud by (seed, stage, frame) alone: T (n, 4, 4) about its mean, joints (n, 15) within their limits."""
+    """n grasps of a cloud, drawn by (seed, stage, frame) alone.
+
+    Returns poses (n, 4, 4) with the cloud's mean as origin, and joints (n, 15) rad, clipped to
+    their limits.
+    """
     draws = torch.Generator().manual_seed(int(generator(seed, stage, frame).integers(2**63)))
     palms = network.generate(bps, n, draws)
     return poses_of(palms), np.clip(palms.joints.double().numpy(), *hand_for("ffhnet").drive_limits)
@@ -140,10 +157,11 @@ def propose(
     frame: int,
     kept: tuple[Array, Array] | None = None,
 ) -> Candidates:
-    """n grasps drawn for a cloud, the same for the same seed and frame, scored; joints within the hand's limits.
+    """n scored grasps of a cloud, the same for the same seed and frame; joints within their limits.
 
-    kept: T_cloud_palm (4, 4) and joints (15,) of the grasp chosen before, where it is now: it stays in the choice, as the
-    last one. Else a new draw in every frame lets the choice jump by decimetres and the hand never arrives (ours).
+    kept (ours): T_cloud_palm (4, 4) and joints (15,) rad of the grasp chosen before, moved with the
+    object. It stays among the candidates, as the last one. Without it the choice jumps by
+    decimetres with the new draws of every frame, and the hand never arrives.
     """
     T, joints = draw(cloud.bps, networks.generator, n, seed, "grasps", frame)
     with torch.inference_mode():
@@ -162,7 +180,10 @@ def propose(
 
 
 def overlap_allowed(rows: NDArray[np.intp], n: int, kept: bool, most: float) -> Array:
-    """m, of rows (k,) of n candidates of which the last one may be the one chosen before."""
+    """Allowed overlap (k,) m of rows (k,) of n candidates; `most` m for all but the kept one.
+
+    kept: the last candidate is the grasp chosen before.
+    """
     return np.where(kept & (rows == n - 1), KEPT_SLACK * most, most)
 
 
@@ -173,9 +194,10 @@ def free_of(
     support: tuple[Array, float] | None,
     most: float | Array,
 ) -> NDArray[np.bool_]:
-    """Whether the preshaped hand at poses (n, 4, 4) lies at most `most` m, (n,), deep in the cloud and below its support.
+    """Whether (n,) the preshaped hand penetrates cloud and support by `most` m at most.
 
-    support: normal (3,) and offset m of the plane in the cloud's frame.
+    T_cloud_palm (n, 4, 4), joints (n, 15) rad, most: one value or (n,). support: normal (3,) and
+    offset m of the plane, cloud's frame.
     """
     deep = overlap(cloud.points, T_cloud_palm, joints, cloud.hand)
     if support is not None:
@@ -191,27 +213,29 @@ def way_free(
     support: tuple[Array, float] | None,
     config: GraspsConfig,
 ) -> bool:
-    """Whether the preshaped hand is free at WAY_STEPS places over the last `way_m` before a grasp (4, 4), joints (15,).
+    """Whether the preshaped hand is free at PATH_STEPS places over the last `way_m` before a grasp.
 
-    hand (3,) m: where the palm comes from, straight and turned as in the grasp already. Ours: without it the hand pushes
-    tall things over on the way.
+    T_cloud_palm (4, 4), joints (15,) rad; hand (3,) m: the palm's position, cloud's frame. The path
+    is straight, with the grasp's orientation. Ours: without this test the hand pushes tall objects
+    over on its path.
     """
     back = hand - T_cloud_palm[:3, 3]
     length = float(np.linalg.norm(back))
     if config.way_m == 0.0 or length < 1e-6:
         return True
-    places = np.tile(T_cloud_palm, (WAY_STEPS, 1, 1))
-    shares = np.minimum(np.arange(1, WAY_STEPS + 1) / WAY_STEPS * config.way_m, length) / length
+    places = np.tile(T_cloud_palm, (PATH_STEPS, 1, 1))
+    shares = np.minimum(np.arange(1, PATH_STEPS + 1) / PATH_STEPS * config.way_m, length) / length
     places[:, :3, 3] += shares[:, None] * back
     return bool(
-        free_of(cloud, places, np.tile(joints, (WAY_STEPS, 1)), support, config.max_overlap).all()
+        free_of(cloud, places, np.tile(joints, (PATH_STEPS, 1)), support, config.max_overlap).all()
     )
 
 
 class Feasible:
-    """Which of one set of candidates a robot could take, asked in the order of the metric and remembered.
+    """Which candidates a robot could execute; each candidate is tested once, when it is asked for.
 
-    free: rows (k,) -> whether the hand there is free of the cloud (k,); reaches: row -> whether the arm gets there.
+    free: rows (k,) -> whether (k,) the hand is free of the cloud there. reaches: row -> whether the
+    arm reaches the pose.
     """
 
     def __init__(
@@ -224,13 +248,18 @@ class Feasible:
         self._known_reached: dict[int, bool] = {}
 
     def first(self, order: NDArray[np.intp]) -> int | None:
-        """The first in an order that is both; None where none is, or after MOST_TRIED that can't be reached."""
+        """First row of an order (n,) that is free and reachable.
+
+        None if there is none, or after MOST_TRIED free rows that the arm can't reach.
+        """
         tried = 0
         rows: list[int] = order.tolist()
         for position, row in enumerate(rows):
             if self._free is not None and row not in self._known_free:
-                some = order[position : position + CHUNK]
-                self._known_free.update(zip(some.tolist(), self._free(some).tolist(), strict=True))
+                chunk = order[position : position + CHUNK]
+                self._known_free.update(
+                    zip(chunk.tolist(), self._free(chunk).tolist(), strict=True)
+                )
             if not self._known_free.get(row, True):
                 continue
             if self._reaches is None:
@@ -246,7 +275,10 @@ class Feasible:
 
 
 def evaluate(cloud: EncodedCloud, networks: Networks, T_cloud_palm: Array, joints: Array) -> Array:
-    """Scores (n,) of palm poses (n, 4, 4) in the cloud's frame; joints (n, 15) matter to an evaluator with fingers only."""
+    """Scores (n,) of palm poses (n, 4, 4), cloud's frame.
+
+    joints (n, 15) rad matter only to an evaluator that takes them.
+    """
     T = T_cloud_palm.copy()
     T[:, :3, 3] -= cloud.mean
     with torch.inference_mode():

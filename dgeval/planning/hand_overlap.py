@@ -1,6 +1,7 @@
-"""How deep a preshaped hand would lie in the model cloud: grasps that a robot could only reach through the object.
+"""How deep a preshaped hand would lie in the model cloud.
 
-Ours, beyond the paper, whose evaluator is blind to the fingers.
+It finds grasps that a robot could reach only through the object. Ours, beyond the paper, whose
+evaluator does not take the finger joints.
 """
 
 from __future__ import annotations
@@ -11,16 +12,14 @@ from numba import njit
 from dgeval.geometry import Array, invert
 from dgeval.robots.hand import Hand
 
-COLUMN, LEVEL = (
-    0.009,
-    0.014,
-)  # m; of the points put under what was seen: across, and from one to the next below it
+# m; spacing of the points added below observed points: across, and downwards
+COLUMN, LEVEL = 0.009, 0.014
 
 
 def overlap(points: Array, T_cloud_palm: Array, joints: Array, hand: Hand) -> Array:
-    """Depth (n,) m of the deepest of the cloud's points (m, 3) inside the hand; 0 where none is.
+    """Depth (n,) m of the deepest cloud point, of points (m, 3) m, inside the hand; 0 if none.
 
-    For each palm pose T_cloud_palm (n, 4, 4) with drives (n, k).
+    For each palm pose T_cloud_palm (n, 4, 4) with drive positions (n, k) rad.
     """
     T_palm_hand = invert(hand.T_hand_palm)
     solids = hand.solids(joints)
@@ -37,9 +36,10 @@ def overlap(points: Array, T_cloud_palm: Array, joints: Array, hand: Hand) -> Ar
 def depth_below(
     normal: Array, offset: float, T_cloud_palm: Array, joints: Array, hand: Hand
 ) -> Array:
-    """How far (n,) m the hand at each palm pose (n, 4, 4) reaches below the plane normal . p = offset.
+    """How far (n,) m the hand at each palm pose (n, 4, 4) reaches below the plane normal . p =
+    offset.
 
-    Negative: it is above the plane.
+    Negative: the hand is above the plane.
     """
     T_palm_hand = invert(hand.T_hand_palm)
     solids = hand.solids(joints)
@@ -58,9 +58,10 @@ def depth_below(
 
 
 def standing_points(points: Array, normal: Array, offset: float) -> Array:
-    """Points (k, 3) inside what stands on the plane normal . p = offset: under each of `points` (m, 3), down to the plane.
+    """Points (k, 3) m below each of `points` (m, 3) m, down to the plane normal . p = offset.
 
-    A camera sees tops and near sides; without these a hand could lie in an object's far side and be called free of it.
+    They fill what stands on the plane. A camera sees tops and near sides only; without these points
+    a hand in an object's far side would be called free.
     """
     across = np.linalg.svd(normal[None])[2][1:]
     height = points @ normal - offset
@@ -100,7 +101,7 @@ def _deepest(points, T, axes, radius, R_palm_hand, centres, halves):
                 out[i] = max(out[i], radius - np.sqrt(distance2))
             for k in range(len(halves)):
                 depth = 1.0
-                for c in range(3):  # the palm's boxes stand in the hand's axes
+                for c in range(3):  # the boxes are aligned with the hand's axes
                     local[c] = 0.0
                     for r in range(3):
                         local[c] += R_palm_hand[r, c] * (p[r] - centres[k, r])

@@ -1,4 +1,7 @@
-"""Whether an arm can bring its palm to a pose: inverse kinematics within the joints' limits, from the robot's description."""
+"""Whether an arm can bring its palm to a pose: inverse kinematics within the joint limits.
+
+The arm is read from the robot's description.
+"""
 
 from __future__ import annotations
 
@@ -10,23 +13,27 @@ from scipy.optimize import least_squares
 from dgeval.geometry import Array, cross, rotation_vector
 from dgeval.robots.description import Description, Joint
 
-POSITION_M, ANGLE_RAD = 0.001, 0.01  # a pose is reached when both errors are below these
-WEIGHT = 0.1  # m that a radian counts for
-EVALUATIONS = 40
+POSITION_M, ANGLE_RAD = 0.001, 0.01  # m, rad; a pose is reached when both errors are below these
+WEIGHT = 0.1  # m/rad, weight of the rotation error against the position error
+EVALUATIONS = 40  # most evaluations of the error in one solution
 
 
 @dataclass(frozen=True)
 class Arm:
-    """The joints from the base to the palm, fixed ones included, in order."""
+    """The joints from the base to the palm in order, including fixed ones."""
 
     joints: tuple[Joint, ...]
 
     @property
     def movable(self) -> list[Joint]:
+        """The joints that are not fixed, in order."""
         return [j for j in self.joints if j.kind != "fixed"]
 
     def palm(self, q: Array) -> tuple[Array, Array]:
-        """T_base_palm (4, 4) at joint positions (n,), and its Jacobian (6, n) in base axes at the palm's origin."""
+        """T_base_palm (4, 4) at joint positions (n,) rad or m, and its Jacobian (6, n).
+
+        The Jacobian is in base axes, at the palm's origin; linear velocity first.
+        """
         T, frames, k = np.eye(4), [], 0
         for joint in self.joints:
             if joint.kind == "fixed":
@@ -43,7 +50,10 @@ class Arm:
         return T, J
 
     def solve(self, T_base_palm: Array, q: Array) -> Array | None:
-        """Joint positions (n,) within the limits, found from q on, that bring the palm to a pose; None: not found."""
+        """Joint positions (n,) within the limits that bring the palm to a pose (4, 4), or None.
+
+        The search starts at q (n,). None means that it found none.
+        """
         low, high = (
             np.array([getattr(j, edge) for j in self.movable]) for edge in ("lower", "upper")
         )
@@ -59,18 +69,22 @@ class Arm:
             return np.asarray(self.palm(x)[1] * scale[:, None])
 
         start = np.clip(q, low + inside, high - inside)
-        found = least_squares(
+        solution = least_squares(
             error, start, jacobian, bounds=(low, high), max_nfev=EVALUATIONS, xtol=1e-10
         )
         reached = (
-            np.linalg.norm(found.fun[:3]) < POSITION_M
-            and np.linalg.norm(found.fun[3:]) < ANGLE_RAD * WEIGHT
+            np.linalg.norm(solution.fun[:3]) < POSITION_M
+            and np.linalg.norm(solution.fun[3:]) < ANGLE_RAD * WEIGHT
         )
-        return np.asarray(found.x) if reached else None
+        return np.asarray(solution.x) if reached else None
 
 
 def arm_of(description: Description, base: str, palm: str) -> Arm | None:
-    """The chain from base to palm; None where the description has none, or a joint in it follows another."""
+    """The arm between the links `base` and `palm`.
+
+    None if the description has no such chain, if it has no movable joint, or if a joint in it
+    follows another one.
+    """
     chain: list[Joint] = []
     link = palm
     while link != base:

@@ -1,4 +1,7 @@
-"""When a stage's result becomes usable. The papers run perception and control side by side; replay says so in numbers."""
+"""When a stage's result becomes usable.
+
+The papers run perception and control in parallel; replay models this by a latency per stage.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,23 @@ T = TypeVar("T")
 
 
 class Delayed(Generic[T]):
-    """Results of one stage, each usable from its image's time plus a latency on."""
+    """Results of one stage. Each is usable from its image's time plus the latency on."""
 
     def __init__(self, latency_s: float) -> None:
         self._latency_ns = round(latency_s * 1e9)
         self.reset()
 
     def reset(self) -> None:
-        self._coming: deque[tuple[int, T]] = deque()
+        self._pending: deque[tuple[int, T]] = deque()
         self._usable: tuple[int, T] | None = None
 
     def step(self, t_ns: int, result: T) -> tuple[int, T] | None:
-        """Take this frame's result in; give the newest usable one and the time of its image, or None."""
-        self._coming.append((t_ns, result))
+        """Add the result of the image at t_ns; return the newest usable one, as `at`."""
+        self._pending.append((t_ns, result))
         return self.at(t_ns)
 
     def at(self, t_ns: int) -> tuple[int, T] | None:
-        """The newest result usable at a time."""
-        while self._coming and self._coming[0][0] + self._latency_ns <= t_ns:
-            self._usable = self._coming.popleft()
+        """The newest result usable at t_ns with its image's time ns; None before the first."""
+        while self._pending and self._pending[0][0] + self._latency_ns <= t_ns:
+            self._usable = self._pending.popleft()
         return self._usable

@@ -1,4 +1,7 @@
-"""The dynamic grasp metric (paper equations 3 to 5, readings PAPERS A1 and A2) and the order of choice by it."""
+"""The dynamic grasp metric and the order of candidates by it.
+
+Paper equations 3 to 5; PAPERS A1 and A2 say how they are read.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,10 @@ from dgeval.geometry import Array
 def grasp_metric(
     T_base_palm: Array, scores: Array, T_base_hand_palm: Array, config: SelectionConfig
 ) -> Array:
-    """m_0 + m_1 (n,) of candidates for the robot's palm pose: score s_G less the weighted distance in position and rotation.
+    """m_0 + m_1 (n,) of candidates: score s_G less the weighted distances in position and rotation.
 
-    T_base_palm (n, 4, 4) and scores (n,) of the candidates; T_base_hand_palm (4, 4): where the palm is now.
+    T_base_palm (n, 4, 4) and scores (n,) of the candidates; T_base_hand_palm (4, 4): the palm's
+    pose now.
     """
     R, R_hand = T_base_palm[:, :3, :3], T_base_hand_palm[:3, :3]
     d_t = np.linalg.norm(T_base_palm[:, :3, 3] - T_base_hand_palm[:3, 3], axis=1)
@@ -31,7 +35,10 @@ def grasp_metric(
 
 
 def by_metric(metric: Array, kept: float = 0.0) -> NDArray[np.intp]:
-    """Candidates from the greatest metric down, the first among equals; NaN are left out. kept: added to the last one's."""
+    """Rows of candidates by falling metric (n,); of equal ones the first comes first; NaN left out.
+
+    kept: added to the metric of the last candidate.
+    """
     if kept:
         metric = np.append(metric[:-1], metric[-1] + kept)
     order = np.argsort(-metric, kind="stable")

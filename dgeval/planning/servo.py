@@ -1,4 +1,7 @@
-"""Visual servoing at the recorded state: equations 6 and 7 of the dynamic-grasping paper, open loop."""
+"""Visual servoing at the recorded state: equations 6 and 7 of the dynamic-grasping paper.
+
+Open loop: the commands don't move the recorded palm.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,12 @@ from dgeval.config import ServoConfig
 from dgeval.geometry import Array, invert, rotation_angle, rotation_vector
 from dgeval.robots.hand import Hand
 
-FAST_DERIVATIVE_GAINS = (0.2, 0.5)  # PAPERS A11
+FAST_DERIVATIVE_GAINS = (0.2, 0.5)  # c_d,v and c_d,w (PAPERS A11)
 
 
 @dataclass(frozen=True, slots=True)
 class ServoCommand:
-    """Errors (m, rad) and the commanded twist (6,) [m/s, rad/s], base axes, at the palm's origin."""
+    """Errors (m, rad) and the commanded twist (6,) m/s, rad/s, base axes, at the palm's origin."""
 
     error_linear: float
     error_angular: float
@@ -23,32 +26,43 @@ class ServoCommand:
 
 
 def look_at_rotation(T_base_camera: Array, target: Array) -> Array:
-    """r_O: smallest rotation vector (3,), base axes, that turns the optical axis to the target (3,), base frame (A10)."""
+    """r_O: smallest rotation vector (3,) rad, base axes, that turns the optical axis to the target.
+
+    target (3,) m, base frame (A10).
+    """
     axis = T_base_camera[:3, 2]
-    to = target - T_base_camera[:3, 3]
-    distance = float(np.linalg.norm(to))
+    direction = target - T_base_camera[:3, 3]
+    distance = float(np.linalg.norm(direction))
     if distance < 1e-9:
         return np.zeros(3)
-    to = to / distance
-    cross = np.cross(axis, to)
-    sine, cosine = float(np.linalg.norm(cross)), float(axis @ to)
+    direction = direction / distance
+    cross = np.cross(axis, direction)
+    sine, cosine = float(np.linalg.norm(cross)), float(axis @ direction)
     if sine < 1e-12:
         return np.zeros(3)
     return np.asarray(cross / sine * np.arctan2(sine, cosine))
 
 
 def blend_rotation(distance: float, r_O: Array, r_G: Array, config: ServoConfig) -> Array:
-    """Equation 6: rotation vector (3,) between facing the object (far) and the grasp's orientation (near)."""
+    """Equation 6: rotation vector (3,) rad, from r_O (face the object, far) to r_G (grasp, near).
+
+    distance: m from the palm to the grasp.
+    """
     share = float(np.clip((distance - config.c_G) / (config.c_O - config.c_G), 0.0, 1.0))
     return share * r_O + (1 - share) * r_G
 
 
 class Servo:
-    """Equation 7 with the error's derivative low-passed over derivative_tau (read literally it diverges, PAPERS A11)."""
+    """Equation 7 with the error's derivative low-passed over derivative_tau s.
+
+    Read literally the equation diverges (PAPERS A11).
+    """
 
     def __init__(self, config: ServoConfig, hand: Hand) -> None:
         self.config = config
-        self._along_fingers = invert(hand.T_hand_palm)[:3, 2]  # palm frame; z of the hand's base
+        self._along_fingers = invert(hand.T_hand_palm)[
+            :3, 2
+        ]  # unit vector, palm frame: z of the hand's base
         self.reset()
 
     def reset(self) -> None:
@@ -64,10 +78,12 @@ class Servo:
         target: Array,
         velocity: Array,
     ) -> ServoCommand:
-        """Command for the recorded palm towards the grasp; target (3,) m and velocity (3,) m/s of the object, base frame.
+        """Command for the recorded palm towards the grasp; poses (4, 4), base frame.
 
-        Without a camera pose the orientation error is that of the grasp at any distance. With `beyond_m` the hand passes
-        through the grasp at some speed; sent to the grasp itself it creeps, and what closes it always closes it short.
+        target (3,) m and velocity (3,) m/s: of the object, base frame. Without a camera pose the
+        orientation error is that of the grasp at any distance. With `beyond_m` the hand passes
+        through the grasp at some speed; commanded to the grasp itself it creeps, and it always
+        closes short of the grasp.
         """
         c = self.config
         t_G = T_base_grasp[:3, 3] - T_base_palm[:3, 3]

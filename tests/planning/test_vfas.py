@@ -1,4 +1,7 @@
-"""VFAS-Grasp: its filter, network, sampling, motion field and planner, each against something that is not itself."""
+"""Catches: a filter, network, sampling, motion field or planner that is not VFAS-Grasp's.
+
+Each is tested against closed forms, the authors' numbers or a reference written in numpy.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from dgeval.robots.parallel_jaw import DISTAL, OPENING, PROXIMAL, link_points
 
 
 def test_filter_gives_the_authors_vector() -> None:
-    """Catches the raw value in the speed, a wrong alpha, beta on the signed speed."""
+    """Catches a speed against the raw value, a wrong alpha, and beta on the signed speed."""
     folder = os.environ.get("DGEVAL_REAL_DATA")
     if not folder or not (Path(folder) / "oneeuro_vector.csv").is_file():
         pytest.skip("the author's vector is not here: DGEVAL_REAL_DATA")
@@ -33,7 +36,8 @@ def test_filter_gives_the_authors_vector() -> None:
     one = OneEuroFilter(1.0, 0.1, 1.0)
     out = []
     for k, (t, _, noisy, _) in enumerate(rows):
-        # the author's code takes a stamp of exactly 0 for missing: the second sample uses the stated 120 Hz
+        # the author's code takes a stamp of exactly 0 as missing, so the second sample uses the
+        # stated 120 Hz
         seconds = 1 / 120 if k < 2 else t - rows[k - 1, 0]
         out.append(float(one.step(np.array(noisy), seconds)))
     assert len(out) == 1200
@@ -41,7 +45,7 @@ def test_filter_gives_the_authors_vector() -> None:
 
 
 def test_pose_filter_keeps_a_still_pose_and_lags_a_step() -> None:
-    """Catches a slerp the wrong way round, and a rotation that is not filtered."""
+    """Catches a slerp in the wrong direction, and a rotation that is not filtered."""
     still = PoseFilter(OneEuroConfig())
     T = increment(np.array([0.1, 0.2, 0.3, 0.2, -0.4, 0.1]))
     for _ in range(5):
@@ -56,22 +60,24 @@ def test_pose_filter_keeps_a_still_pose_and_lags_a_step() -> None:
 
 
 def test_farthest_points_start_at_zero_and_skip_the_origin() -> None:
-    """Catches a random start, and the guard left out or put on every point."""
+    """Catches a random start, and the guard left out or applied to every point."""
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.1, 0.1, (3, 200, 3)).astype(np.float32)
     chosen = farthest_points(points, 20, 1e-3)
     for p, c in zip(points, chosen, strict=True):
-        able = (p**2).sum(axis=1) > 1e-3
+        selectable = (p**2).sum(axis=1) > 1e-3
         assert c[0] == 0
         nearest = np.full(200, np.inf)
         for a, b in pairwise(c):
             nearest = np.minimum(nearest, ((p - p[a]) ** 2).sum(axis=1))
-            assert able[b]
-            assert nearest[b] == pytest.approx(nearest[able].max(), rel=1e-4)
+            assert selectable[b]
+            assert nearest[b] == pytest.approx(nearest[selectable].max(), rel=1e-4)
 
 
 def test_neighbours_are_the_first_in_order_and_filled_up() -> None:
-    """Catches the nearest in place of the first, <= in place of <, and empty balls that are not index 0."""
+    """Catches the nearest points instead of the first, <= instead of <, and an empty ball that
+    isn't index 0.
+    """
     points = np.array([[[0.0, 0, 0], [0.02, 0, 0], [0.005, 0, 0], [0.001, 0, 0]]], dtype=np.float32)
     centres = np.array([[[0.0, 0, 0], [5.0, 0, 0]]], dtype=np.float32)
     near = neighbours_in_ball(points, centres, 0.02, 2)[0]
@@ -81,7 +87,7 @@ def test_neighbours_are_the_first_in_order_and_filled_up() -> None:
 
 
 def test_crop_is_in_the_grasp_frame() -> None:
-    """Catches an inverted transform and a box that is not the paper's."""
+    """Catches an inverted transform, and a box other than the paper's."""
     T = increment(np.array([0.3, -0.1, 0.2, 0.4, 0.2, -1.0]))
     local = np.array(
         [
@@ -104,7 +110,10 @@ def test_crop_is_in_the_grasp_frame() -> None:
 def reference(
     network: GraspEvaluator, scene: np.ndarray, gripper: np.ndarray
 ) -> tuple[float, float]:
-    """The network for one grasp in plain numpy, from PAPERS 4.1: no factoring, no folding, relative coordinates formed."""
+    """Logit and confidence of one grasp in plain numpy, from PAPERS 4.1.
+
+    Relative coordinates are formed, no layer is factored, and no norm is folded into a layer.
+    """
     s = network.sizes
     w = {k: v.double().numpy() for k, v in network.state_dict().items()}
 
@@ -142,8 +151,11 @@ def reference(
     return float(logit[0]), float(1 / (1 + np.exp(-sure[0])))
 
 
-def filled(sizes: Sizes | None = None) -> GraspEvaluator:
-    """Weights and running statistics far from their beginnings; large enough that every input shows in the output."""
+def with_random_weights(sizes: Sizes | None = None) -> GraspEvaluator:
+    """The network with random weights and running statistics, far from their initial values.
+
+    The weights are so large that every input changes the output.
+    """
     torch.manual_seed(3)
     network = GraspEvaluator(sizes) if sizes is not None else GraspEvaluator()
     for module in network.evaluator.modules():
@@ -161,17 +173,18 @@ def filled(sizes: Sizes | None = None) -> GraspEvaluator:
 
 @pytest.mark.parametrize("sizes", [None, VFAS])
 def test_network_is_the_published_one(sizes: Sizes | None) -> None:
-    """Catches labels swapped, absolute for relative coordinates, a norm folded wrongly, the centre taken twice."""
-    network = filled(sizes)
+    """Catches swapped labels, absolute coordinates, a norm folded wrongly, and a centre subtracted
+    twice.
+    """
+    network = with_random_weights(sizes)
     rng = np.random.default_rng(1)
     scene = rng.uniform(-0.06, 0.06, (2, network.sizes.scene, 3)).astype(np.float32)
     scene[1] *= 0.6
     gripper = rng.uniform(-0.05, 0.05, (2, network.sizes.gripper, 3)).astype(np.float32)
     with torch.no_grad():
         logits, sure = network(torch.from_numpy(scene), torch.from_numpy(gripper))
-    assert (
-        abs(float(logits[0] - logits[1])) > 0.02
-    )  # a network that says the same of everything would prove nothing
+    # a network with the same output for all inputs would prove nothing
+    assert abs(float(logits[0] - logits[1])) > 0.02
     for k in range(2):
         logit, confidence = reference(network, scene[k], gripper[k])
         assert float(logits[k, 0]) == pytest.approx(logit, abs=1e-4)
@@ -179,8 +192,10 @@ def test_network_is_the_published_one(sizes: Sizes | None) -> None:
 
 
 def test_public_checkpoint_loads_strictly(tmp_path: Path) -> None:
-    """72 keys and 1.926 M parameters under `model_state_dict`; a wrong file is named by its first missing key."""
-    network = filled()
+    """Catches another number of keys (72) or parameters (1.926 M) than the public network has, and
+    a wrong file that is accepted or not named by its first missing key.
+    """
+    network = with_random_weights()
     state = network.state_dict()
     assert len(state) == 72
     assert sum(p.numel() for p in network.parameters()) == 1_926_210
@@ -197,8 +212,8 @@ def test_public_checkpoint_loads_strictly(tmp_path: Path) -> None:
 
 
 def test_training_and_use_agree() -> None:
-    """Catches a fold or a gather that is not what was trained: norms frozen, the two paths give the same."""
-    network = filled(VFAS)
+    """Catches an eval mode that differs from training mode with frozen norms."""
+    network = with_random_weights(VFAS)
     rng = np.random.default_rng(2)
     scene = torch.from_numpy(rng.uniform(-0.05, 0.05, (3, 512, 3)).astype(np.float32))
     gripper = torch.from_numpy(link_points(64, rng).astype(np.float32)).expand(3, -1, -1)
@@ -212,6 +227,7 @@ def test_training_and_use_agree() -> None:
 
 
 def test_shipped_weights_are_small_and_say_their_sizes() -> None:
+    """Catches shipped weights of over 4 MB, without their sizes, or of another network."""
     path = (
         Path(__file__).parents[2] / "dgeval" / "networks" / "weights" / "vfas_evaluator.safetensors"
     )
@@ -221,6 +237,7 @@ def test_shipped_weights_are_small_and_say_their_sizes() -> None:
 
 
 def test_gripper_points_lie_on_its_links() -> None:
+    """Catches points inside the links or off them."""
     points = link_points(400, np.random.default_rng(0))
     points[:, 0] = np.abs(points[:, 0]) - OPENING / 2
     faces = np.zeros(400, int)
@@ -234,7 +251,7 @@ def test_gripper_points_lie_on_its_links() -> None:
 
 
 def test_candidates_keep_roll_and_stay_in_the_region() -> None:
-    """Catches a left multiplication, roll that moves, radians for degrees."""
+    """Catches a multiplication from the left, a roll that changes, and radians for degrees."""
     T = increment(np.array([0.4, 0.1, 0.3, 1.0, -0.5, 2.0]))
     moved = perturbed(
         np.tile(T, (500, 1, 1)),
@@ -252,8 +269,8 @@ def test_candidates_keep_roll_and_stay_in_the_region() -> None:
     assert 4.8 < np.abs(angles[:, :2]).max() <= 5.0
 
 
-class Told(GraspJudge):
-    """Qualities by a function of the grasps, in place of a network."""
+class JudgeByFunction(GraspJudge):
+    """A judge whose quality is a function of cloud and grasps, instead of a network's."""
 
     def __init__(self, config: VfasConfig, quality) -> None:  # type: ignore[no-untyped-def]
         self._config, self._quality = config, quality
@@ -263,19 +280,20 @@ class Told(GraspJudge):
 
 
 def test_score_is_equation_1() -> None:
-    """Catches a sign, degrees for radians, and a spread that is not max minus min."""
+    """Catches a wrong sign, degrees for radians, and a spread that is not maximum minus minimum."""
     config = VfasConfig(noise_candidates="all", copies=3, k1=2.0, k2=0.5, k3=0.5)
     calls = iter([0.9, 0.7, 0.8])
-    judge = Told(config, lambda _, T: np.full(len(T), next(calls)))
+    judge = JudgeByFunction(config, lambda _, T: np.full(len(T), next(calls)))
     seed = np.eye(4)
     T = increment(np.array([0.03, 0.04, 0, 0, 0.2, 0]))
-    found = judge.scores(np.zeros((1, 3)), T[None], seed, np.random.default_rng(0))
-    assert found.spread[0] == pytest.approx(0.2)
-    assert found.score[0] == pytest.approx(0.8 - 2.0 * 0.05 - 0.5 * 0.2 - 0.5 * 0.2)
+    scores = judge.scores(np.zeros((1, 3)), T[None], seed, np.random.default_rng(0))
+    assert scores.spread[0] == pytest.approx(0.2)
+    assert scores.score[0] == pytest.approx(0.8 - 2.0 * 0.05 - 0.5 * 0.2 - 0.5 * 0.2)
     assert distances(seed, T[None])[1][0] == pytest.approx(0.2)
 
 
 def test_leading_eight_alone_are_tried_with_noise() -> None:
+    """Catches noise on all candidates or on the wrong eight, and a choice of one without spread."""
     config = VfasConfig(copies=2, k1=0.0, k2=0.0)
     tried: list[int] = []
 
@@ -285,31 +303,31 @@ def test_leading_eight_alone_are_tried_with_noise() -> None:
 
     poses = np.tile(np.eye(4), (64, 1, 1))
     poses[:, 0, 3] = np.linspace(0, 1, 64)
-    found = Told(config, quality).scores(
+    scores = JudgeByFunction(config, quality).scores(
         np.zeros((1, 3)), poses, np.eye(4), np.random.default_rng(0)
     )
     assert tried == [64, 8, 8]
-    assert int(np.argmax(found.score)) == 63
-    assert np.isinf(found.score[:56]).all()
+    assert int(np.argmax(scores.score)) == 63
+    assert np.isinf(scores.score[:56]).all()
 
 
 def test_region_grows_by_30_percent_up_to_three_and_falls_back() -> None:
-    """PAPERS B3: 1, 1.3, 1.69, 2.197, 2.856, 3; and N with it."""
+    """Catches another growth than PAPERS B3: 1, 1.3, 1.69, 2.197, 2.856, 3, and N in proportion."""
     good = [False]
-    seen: list[np.ndarray] = []
+    relative: list[np.ndarray] = []
     config = VfasConfig(k1=0.0, k2=0.0, low_pass=False)
 
     def quality(_: np.ndarray, T: np.ndarray) -> np.ndarray:
         if len(T) > 8:
-            seen.append(np.linalg.inv(T[0]) @ T)  # the seed is the first of them
+            relative.append(np.linalg.inv(T[0]) @ T)  # the seed is the first of them
         return np.full(len(T), 0.9 if good[0] else 0.1)
 
-    planner = Vfas(Told(config, quality), config, 0, np.eye(4))
+    planner = Vfas(JudgeByFunction(config, quality), config, 0, np.eye(4))
     cloud = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3))
-    found = [planner.step(k, 0.05, cloud, None, None) for k in range(7)]
-    assert np.allclose([s.factor for s in found], [1, 1.3, 1.69, 2.197, 2.8561, 3, 3])
-    assert [s.n for s in found] == [64, 83, 108, 141, 183, 192, 192]
-    angle = max(np.degrees(distances(np.eye(4), T)[1]).max() for T in seen)
+    steps = [planner.step(k, 0.05, cloud, None, None) for k in range(7)]
+    assert np.allclose([s.factor for s in steps], [1, 1.3, 1.69, 2.197, 2.8561, 3, 3])
+    assert [s.n for s in steps] == [64, 83, 108, 141, 183, 192, 192]
+    angle = max(np.degrees(distances(np.eye(4), T)[1]).max() for T in relative)
     assert 15.5 < angle < 15 * 2**0.5 + 0.1  # 5 degrees of pitch and of yaw, three times as far
     good[0] = True
     planner.step(7, 0.05, cloud, None, None)
@@ -317,10 +335,10 @@ def test_region_grows_by_30_percent_up_to_three_and_falls_back() -> None:
 
 
 def test_seed_waits_for_a_good_grasp_when_searching() -> None:
-    """Handover: until a score over 0.5 the seed stays; then it follows."""
+    """Catches a seed that moves in a handover before a score exceeds 0.5, or stays after it."""
     good = [False]
     config = VfasConfig(k1=0.0, k2=0.0, keep_seed=False)
-    judge = Told(config, lambda _, T: np.full(len(T), 0.9 if good[0] else 0.4))
+    judge = JudgeByFunction(config, lambda _, T: np.full(len(T), 0.9 if good[0] else 0.4))
     planner = Vfas(judge, config, 0, np.eye(4), searching=True)
     cloud = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3))
     for k in range(3):
@@ -332,44 +350,47 @@ def test_seed_waits_for_a_good_grasp_when_searching() -> None:
 
 
 def test_seed_is_carried_with_the_motion_and_filter_too() -> None:
-    """0.1 m/s over 50 ms are 5 mm a step: catches the offset per frame, and a filter that holds the seed back."""
+    """Catches an offset per frame (0.1 m/s in 50 ms are 5 mm), and a filter that delays it."""
     config = VfasConfig(k1=0.0, k2=0.0, half_width=1e-9, half_angle=0.0)
-    planner = Vfas(Told(config, lambda _, T: np.full(len(T), 0.9)), config, 0, np.eye(4))
+    planner = Vfas(JudgeByFunction(config, lambda _, T: np.full(len(T), 0.9)), config, 0, np.eye(4))
     cloud = np.random.default_rng(0).uniform(-0.05, 0.15, (500, 3))
     planner.step(0, 0.05, cloud, None, None)
     for k in range(1, 11):
-        found = planner.step(k, 0.05, cloud, np.array([0.1, 0, 0]), None)
-    assert found.T_base_seed[0, 3] == pytest.approx(0.05, abs=1e-6)
+        selected = planner.step(k, 0.05, cloud, np.array([0.1, 0, 0]), None)
+    assert selected.T_base_seed[0, 3] == pytest.approx(0.05, abs=1e-6)
 
 
 def test_pregrasp_is_held_for_five_iterations_before_the_advance() -> None:
-    """Catches a count that does not start anew, and an advance that goes on being planned."""
+    """Catches a count that does not restart at 0, and planning that goes on during the advance."""
     config = VfasConfig(k1=0.0, k2=0.0, half_width=1e-9, half_angle=0.0)
-    planner = Vfas(Told(config, lambda _, T: np.full(len(T), 0.9)), config, 0, np.eye(4))
+    planner = Vfas(JudgeByFunction(config, lambda _, T: np.full(len(T), 0.9)), config, 0, np.eye(4))
     cloud = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3))
-    there = np.eye(4)
-    there[2, 3] = -0.10
-    away = there @ increment(np.array([0.006, 0, 0, 0, 0, 0]))
-    seen = [planner.step(k, 0.05, cloud, None, away if k == 3 else there) for k in range(10)]
-    assert [s.execute for s in seen] == [False] * 8 + [True] * 2
-    assert seen[7].T_base_goal[2, 3] == pytest.approx(-0.10)
-    assert seen[8].T_base_goal[2, 3] == pytest.approx(0.0, abs=1e-6)
-    assert seen[9].n == 0
+    at_pregrasp = np.eye(4)
+    at_pregrasp[2, 3] = -0.10
+    away = at_pregrasp @ increment(np.array([0.006, 0, 0, 0, 0, 0]))
+    steps = [planner.step(k, 0.05, cloud, None, away if k == 3 else at_pregrasp) for k in range(10)]
+    assert [s.execute for s in steps] == [False] * 8 + [True] * 2
+    assert steps[7].T_base_goal[2, 3] == pytest.approx(-0.10)
+    assert steps[8].T_base_goal[2, 3] == pytest.approx(0.0, abs=1e-6)
+    assert steps[9].n == 0
 
 
 def test_baseline_executes_the_seed_as_it_was_given() -> None:
+    """Catches a baseline that samples, or that never executes."""
     config = VfasConfig(refine=False)
     T = increment(np.array([0.1, 0, 0, 0, 0.2, 0]))
-    planner = Vfas(Told(config, None), config, 0, T)
+    planner = Vfas(JudgeByFunction(config, None), config, 0, T)
     hand = T.copy()
     hand[:3, 3] -= 0.10 * T[:3, 2]
-    seen = [planner.step(k, 0.05, np.zeros((0, 3)), None, hand) for k in range(6)]
-    assert seen[-1].execute
-    assert np.allclose(seen[-1].T_base_goal, T)
+    steps = [planner.step(k, 0.05, np.zeros((0, 3)), None, hand) for k in range(6)]
+    assert steps[-1].execute
+    assert np.allclose(steps[-1].T_base_goal, T)
 
 
 def test_network_prefers_fingers_round_a_box() -> None:
-    """The shipped weights on a made cloud: a grasp across a box's top beats one beside it and one above it."""
+    """Catches shipped weights that don't prefer a grasp across a box's top to one beside it and one
+    above it, on a synthetic cloud.
+    """
     rng = np.random.default_rng(0)
     top = np.column_stack(
         [rng.uniform(-0.02, 0.02, 4000), rng.uniform(-0.03, 0.03, 4000), np.full(4000, 0.10)]
@@ -396,7 +417,7 @@ CAMERA = Intrinsics(320, 240, 213.0, 213.0, 159.5, 119.5)
 
 
 def textured(shift: float) -> np.ndarray:
-    """A printed wall, moved by so many px along x."""
+    """Image (240, 320, 3) uint8 of a printed wall, moved by `shift` px along x."""
     import cv2
 
     rng = np.random.default_rng(5)
@@ -407,30 +428,39 @@ def textured(shift: float) -> np.ndarray:
 
 
 def test_motion_field_takes_the_cameras_own_motion_out() -> None:
-    """A wall 0.3 m away. Moved: its speed is found; the camera moved past it: nothing moves (PAPERS B5)."""
+    """Catches a camera's motion taken for the scene's: a wall 0.3 m away (PAPERS B5).
+
+    If the wall moves its speed is measured; if the camera moves past it the speed is 0.
+    """
     depth = np.full((240, 320), 0.3, np.float32)
     px = 0.005 / 0.3 * CAMERA.fx  # 5 mm
-    there, centre = np.eye(4), np.array([0.0, 0.0, 0.3])
+    T_base_camera, centre = np.eye(4), np.array([0.0, 0.0, 0.3])
     moving = MotionField(dis_flow())
-    assert moving.step(0, textured(0), depth, CAMERA, there, centre, 0.05) is None
-    found = moving.step(50_000_000, textured(px), depth, CAMERA, there, centre, 0.05)
-    assert found is not None
-    assert np.allclose(found, [0.1, 0, 0], atol=0.005)
+    assert moving.step(0, textured(0), depth, CAMERA, T_base_camera, centre, 0.05) is None
+    velocity = moving.step(50_000_000, textured(px), depth, CAMERA, T_base_camera, centre, 0.05)
+    assert velocity is not None
+    assert np.allclose(velocity, [0.1, 0, 0], atol=0.005)
     still = MotionField(dis_flow())
-    still.step(0, textured(0), depth, CAMERA, there, centre, 0.05)
+    still.step(0, textured(0), depth, CAMERA, T_base_camera, centre, 0.05)
     beside = np.eye(4)
     beside[0, 3] = -0.005
-    found = still.step(50_000_000, textured(px), depth, CAMERA, beside, centre, 0.05)
-    assert found is not None
-    assert np.linalg.norm(found) < 0.005
+    velocity = still.step(50_000_000, textured(px), depth, CAMERA, beside, centre, 0.05)
+    assert velocity is not None
+    assert np.linalg.norm(velocity) < 0.005
 
 
 def test_public_weights_judge_in_the_loop(tmp_path: Path) -> None:
-    """6-DoF GraspNet's container through the planner: 1024 points about their mean, control points, its labels or ours."""
-    torch.save({"model_state_dict": filled().state_dict()}, tmp_path / "latest_net.pth")
+    """Catches labels or centre of the configuration that don't reach the public network.
+
+    6-DoF GraspNet's checkpoint gets 1024 points with their mean subtracted and control points, with
+    its labels or VFAS-Grasp's.
+    """
+    torch.save(
+        {"model_state_dict": with_random_weights().state_dict()}, tmp_path / "latest_net.pth"
+    )
     rng = np.random.default_rng(0)
     cloud = rng.uniform(-0.05, 0.05, (2000, 3))
-    found = []
+    qualities = []
     for changes in ({}, {"labels": "vfas"}, {"centre": "grasp"}):
         config = load_config("vfas").model_copy(
             update={
@@ -440,12 +470,14 @@ def test_public_weights_judge_in_the_loop(tmp_path: Path) -> None:
             }  # type: ignore[arg-type]
         )
         judge = VfasLoop(config, np.eye(4))._judge
-        found.append(judge.quality([cloud], np.tile(np.eye(4), (2, 1, 1)))[0, 0])
-    assert len({f"{q:.3e}" for q in found}) == 3  # each reaches the network
+        qualities.append(judge.quality([cloud], np.tile(np.eye(4), (2, 1, 1)))[0, 0])
+    assert len({f"{q:.3e}" for q in qualities}) == 3  # each setting changes the quality
 
 
 def test_proportional_twist_goes_to_the_goal() -> None:
-    """Catches a rotation in the wrong axes: followed for a time constant, and in small steps, the command ends at the goal."""
+    """Catches a rotation in the wrong axes: the command, followed once for a time constant and once
+    in small steps, ends at the goal.
+    """
     T, goal = (
         increment(np.array([0.2, 0.1, 0, 0.5, 0, 1.0])),
         increment(np.array([0, 0.3, 0.1, -0.2, 0.4, 0])),

@@ -1,4 +1,4 @@
-"""One VFAS iteration from a frame: the wrist camera's cloud without the gripper, the motion field, sampling, the command."""
+"""One VFAS iteration from a frame: cloud of the wrist camera, motion field, sampling, command."""
 
 from __future__ import annotations
 
@@ -21,19 +21,18 @@ from dgeval.planning.vfas.selection import GraspJudge, Selected, Vfas, perturbed
 from dgeval.recording.frame import Frame
 from dgeval.robots.hand import hand_for
 
-FAR = 0.8  # m; what lies behind is no scene to grasp from
-MOST_PIXELS = 40_000
-EDGE_PX, EDGE_M = (
-    5,
-    0.025,
-)  # window, and what lies within it, of a surface; beyond it an edge with flying pixels
-SAMPLED = 256  # poses that the evaluator chooses a seed from
-SCENE_POINTS = 20_000  # of the scene, as Contact-GraspNet was trained
+FAR = 0.8  # m; points farther away are not part of the scene
+MOST_PIXELS = 40_000  # pixels of a frame that the cloud is thinned to, about
+# side of a window (px), and the depth range in it (m) from which on it shows an edge with flying
+# pixels
+EDGE_PX, EDGE_M = 5, 0.025
+SAMPLED = 256  # poses from which the evaluator chooses a seed
+SCENE_POINTS = 20_000  # most points of the scene, as in Contact-GraspNet's training
 
 
 @cache
 def evaluator_of(path: str | None) -> GraspEvaluator:
-    """The evaluator of a file of weights, the shipped one without."""
+    """The evaluator of a file of weights; the shipped one for None."""
     shipped = Path(
         str(resources.files("dgeval.networks") / "weights" / "vfas_evaluator.safetensors")
     )
@@ -41,10 +40,11 @@ def evaluator_of(path: str | None) -> GraspEvaluator:
 
 
 def scene_cloud(frame: Frame, T_base_camera: Array, margin: float) -> Array:
-    """Points (n, 3) of a frame without the robot's own hand and without flying pixels, base frame.
+    """Points (n, 3) m of a frame, base frame, without the robot's own hand and flying pixels.
 
-    Flying pixels stand in the air between an edge and what lies behind it, where a finger should go: with them the
-    evaluator, which has learned from depth without them, gives known grasps a fifth of their quality.
+    Flying pixels lie in the air between an edge and the surface behind it, where a finger should
+    go. The evaluator has learned from depth without them; with them it gives known grasps a fifth
+    of their quality. margin: m about the hand's solids.
     """
     depth = frame.depth
     valid = (depth > 0) & (depth < FAR)
@@ -64,9 +64,11 @@ def scene_cloud(frame: Frame, T_base_camera: Array, margin: float) -> Array:
 def seed_from_cloud(
     cloud: Array, judge: GraspJudge, T_base_camera: Array, seed: int
 ) -> Array | None:
-    """The best of grasps drawn on a cloud, T_base_grasp: about its points, across what is narrow; None where none fits.
+    """T_base_grasp (4, 4), the best of the grasps drawn on a cloud (n, 3) m, base frame, or None.
 
-    Stands in for Contact-GraspNet where no seed is given and `vfas.contact_graspnet` names no weights.
+    Grasps lie at the cloud's points, across what is narrower than the opening; None if there is no
+    such place. Used in place of Contact-GraspNet if no seed is given and `vfas.contact_graspnet`
+    names no weights.
     """
     opening = hand_for("vfas").opening or 0.0
     rng = generator(seed, "vfas seed", 0)
@@ -101,38 +103,46 @@ def seed_from_cloud(
 
 @cache
 def contact_graspnet_of(weights: str) -> ContactGraspNet:
-    """Contact-GraspNet with a file's weights, or with those of the package that is `installed`."""
+    """Contact-GraspNet with a file's weights; "installed": with those of the installed package."""
     return load_contact_graspnet(None if weights == "installed" else Path(weights))
 
 
 def seed_from_contacts(
     cloud: Array, network: ContactGraspNet, judge: GraspJudge, seed: int
 ) -> Array | None:
-    """Of Contact-GraspNet's most confident grasps, none wider than our jaws open, the evaluator's best, T_base_grasp.
+    """T_base_grasp (4, 4): of Contact-GraspNet's most confident grasps the evaluator's best.
 
-    Its own first choice won't do: in a wrist camera's near view it is often on the table or on what is far away.
-    None in too small a cloud.
+    None is wider than our jaws open. Its own best grasp is no good seed: in a wrist camera's near
+    view it often lies on the table or on something far away. None for a cloud (n, 3) of too few
+    points.
     """
     if len(cloud) < CENTRES[0]:
         return None
     order = generator(seed, "contacts", 0).permutation(len(cloud))
-    found = network.grasps(cloud[np.sort(order[:SCENE_POINTS])])
-    best = np.argsort(-found.score, kind="stable")[:SAMPLED]
-    quality = judge.quality([cloud[order]], found.T_cloud_grasp[best])[0]
-    return np.asarray(found.T_cloud_grasp[best[np.argmax(quality)]])
+    grasps = network.grasps(cloud[np.sort(order[:SCENE_POINTS])])
+    best = np.argsort(-grasps.score, kind="stable")[:SAMPLED]
+    quality = judge.quality([cloud[order]], grasps.T_cloud_grasp[best])[0]
+    return np.asarray(grasps.T_cloud_grasp[best[np.argmax(quality)]])
 
 
 def proportional_twist(T_base_hand: Array, T_base_goal: Array, gain: float) -> Array:
-    """Twist (6,) m/s, rad/s, base axes at the hand's origin: the error by a gain, 1/s (the paper's Cartesian controller)."""
+    """Twist (6,) m/s, rad/s, base axes, at the hand's origin: the pose error times gain (1/s).
+
+    The paper's Cartesian controller.
+    """
     turn = rotation_vector(T_base_goal[:3, :3] @ T_base_hand[:3, :3].T)
     return np.asarray(gain * np.concatenate([T_base_goal[:3, 3] - T_base_hand[:3, 3], turn]))
 
 
 class VfasLoop:
-    """The planner with its eyes. `T_base_seed` None: 15 cm ahead of the gripper where config.vfas.search, else drawn."""
+    """The planner with its cloud and motion field.
+
+    T_base_seed (4, 4); None: config.vfas.search_ahead in front of the gripper if
+    config.vfas.search, else a seed drawn on the cloud.
+    """
 
     def __init__(self, config: Config, T_base_seed: Array | None) -> None:
-        self._config, self._given = config, T_base_seed
+        self._config, self._given_seed = config, T_base_seed
         network, c = evaluator_of(config.vfas.evaluator), config.vfas
         if c.labels is not None or c.centre is not None:
             sizes = replace(
@@ -149,7 +159,7 @@ class VfasLoop:
         self.velocity: Array | None = None
 
     def step(self, frame: Frame, T_base_camera: Array, may_execute: bool = True) -> Selected | None:
-        """One iteration; None before there is a seed. may_execute: False while the task says to wait."""
+        """One iteration; None before there is a seed. may_execute: False while it must wait."""
         c = self._config.vfas
         cloud = scene_cloud(frame, T_base_camera, self._config.self_filter.margin)
         if self._planner is None:
@@ -171,8 +181,8 @@ class VfasLoop:
         )
 
     def _seed(self, frame: Frame, cloud: Array, T_base_camera: Array) -> Array | None:
-        if self._given is not None:
-            return self._given
+        if self._given_seed is not None:
+            return self._given_seed
         c = self._config.vfas
         if c.search:
             if frame.T_base_palm is None:

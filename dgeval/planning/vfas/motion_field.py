@@ -1,6 +1,7 @@
-"""VFAS-Grasp's motion field: optical flow lifted with depth, the camera's own motion taken out, averaged near the grasp.
+"""VFAS-Grasp's motion field: optical flow lifted with depth, averaged near the grasp.
 
-OpenCV's DIS stands in for GMFlow (a transformer on a GPU); `flow` is the seam for another.
+The camera's own motion is taken out. OpenCV's DIS is used in place of GMFlow (a transformer on a
+GPU); `flow` takes another method.
 """
 
 from __future__ import annotations
@@ -14,14 +15,12 @@ from numpy.typing import NDArray
 from dgeval.geometry import Array, Intrinsics, transform
 
 Grey = NDArray[np.uint8]
-Flow = Callable[
-    [Grey, Grey], NDArray[np.float32]
-]  # two grey images (h, w) -> displacement (h, w, 2) px of the first's pixels
-MOST = 4000  # pixels that are lifted
-LEAST = 10  # points without which there is no motion to tell
-TRIM = (
-    0.2  # share left out at each end, along each axis: flow across an edge ends on another surface
-)
+# two grey images (h, w) -> displacement (h, w, 2) px of the first one's pixels
+Flow = Callable[[Grey, Grey], NDArray[np.float32]]
+MOST = 4000  # pixels that are lifted, about
+LEAST = 10  # points; with fewer there is no velocity
+# share left out at each end, along each axis: flow across an edge ends on another surface
+TRIM = 0.2
 
 
 def dis_flow() -> Flow:
@@ -31,11 +30,11 @@ def dis_flow() -> Flow:
 
 
 class MotionField:
-    """Mean velocity of the scene about a place, from each two successive frames."""
+    """Mean velocity of the scene near a point, from every two successive frames."""
 
     def __init__(self, flow: Flow) -> None:
         self._flow = flow
-        self._before: tuple[int, Grey, NDArray[np.float32], Array] | None = None
+        self._previous: tuple[int, Grey, NDArray[np.float32], Array] | None = None
 
     def step(
         self,
@@ -47,39 +46,43 @@ class MotionField:
         centre: Array,
         radius: float,
     ) -> Array | None:
-        """Velocity (3,) m/s in the base frame of what is within radius m of centre (3,); None: too few points, first frame.
+        """Velocity (3,) m/s, base frame, of what is within radius m of centre (3,) m, base frame.
 
-        colour (h, w, 3), depth (h, w) m, 0 for none. Both ends of the flow are lifted with their own frame's depth and
-        camera pose, so that a moving wrist is not a moving object (PAPERS B5).
+        None for the first frame and with too few points. colour (h, w, 3) RGB, depth (h, w) m, 0
+        for none. Both ends of the flow are lifted with their own frame's depth and camera pose, so
+        that a moving wrist does not look like a moving object (PAPERS B5).
         """
         grey = np.ascontiguousarray(cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY))
-        before, self._before = self._before, (t_ns, grey, depth, T_base_camera)
-        if before is None or t_ns <= before[0]:
+        previous, self._previous = self._previous, (t_ns, grey, depth, T_base_camera)
+        if previous is None or t_ns <= previous[0]:
             return None
-        then_ns, then_grey, then_depth, T_then = before
-        v, u = np.nonzero(then_depth > 0)
+        previous_ns, previous_grey, previous_depth, T_base_previous = previous
+        v, u = np.nonzero(previous_depth > 0)
         step = max(1, len(u) // (4 * MOST))
         v, u = v[::step], u[::step]
-        start = transform(T_then, camera.backproject(u, v, then_depth[v, u].astype(float)))
+        start = transform(
+            T_base_previous, camera.backproject(u, v, previous_depth[v, u].astype(float))
+        )
         near = np.flatnonzero(((start - centre) ** 2).sum(axis=1) < radius**2)
         if len(near) < LEAST:
             return None
         near = near[:: max(1, len(near) // MOST)]
         u, v, start = u[near], v[near], start[near]
-        moved = self._flow(then_grey, grey)[v, u]
+        moved = self._flow(previous_grey, grey)[v, u]
         to_u, to_v = u + moved[:, 0], v + moved[:, 1]
         iu, iv = np.rint(to_u).astype(int), np.rint(to_v).astype(int)
         inside = (iu >= 0) & (iv >= 0) & (iu < camera.width) & (iv < camera.height)
         z = np.zeros(len(iu))
         z[inside] = depth[iv[inside], iu[inside]]
-        # what jumps by more than a hand's breadth between two frames has been lifted onto another surface
+        # a point that moves by more than the radius between two frames was lifted onto another
+        # surface
         end = transform(T_base_camera, camera.backproject(to_u, to_v, z))
-        way = end - start
-        good = (z > 0) & (np.linalg.norm(way, axis=1) < radius)
+        displacement = end - start
+        good = (z > 0) & (np.linalg.norm(displacement, axis=1) < radius)
         if good.sum() < LEAST:
             return None
-        ordered = np.sort(way[good], axis=0)
+        ordered = np.sort(displacement[good], axis=0)
         cut = int(TRIM * len(ordered))
         return np.asarray(
-            ordered[cut : len(ordered) - cut].mean(axis=0) / ((t_ns - then_ns) * 1e-9)
+            ordered[cut : len(ordered) - cut].mean(axis=0) / ((t_ns - previous_ns) * 1e-9)
         )

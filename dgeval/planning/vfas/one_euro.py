@@ -17,13 +17,16 @@ from dgeval.geometry import (
 
 
 def smoothing(cutoff: float | Array, seconds: float) -> float | Array:
-    """alpha of a first-order low-pass of a cutoff, Hz, over one period."""
+    """Smoothing factor alpha of a first-order low-pass with a cutoff in Hz, over a period in s."""
     return 1.0 / (1.0 + 1.0 / (2 * np.pi * cutoff * seconds))
 
 
 @dataclass
 class OneEuroFilter:
-    """Of numbers or arrays, each entry by itself. min_cutoff and d_cutoff Hz, beta s per unit: cutoff = min + beta |speed|."""
+    """1€ filter of numbers or arrays, each entry by itself.
+
+    min_cutoff and d_cutoff in Hz, beta in s per unit of x: cutoff = min_cutoff + beta |speed|.
+    """
 
     min_cutoff: float = 1.0
     beta: float = 0.0
@@ -32,12 +35,12 @@ class OneEuroFilter:
     speed: Array | None = None
 
     def step(self, x: Array, seconds: float) -> Array:
-        """Filtered x, `seconds` after the sample before it; the first one passes as it is."""
+        """Filtered x, `seconds` after the previous sample; the first sample is not changed."""
         x = np.asarray(x, dtype=float)
         if self.value is None or self.speed is None:
             self.value, self.speed = x, np.zeros_like(x)
             return x
-        # the author's later code: the speed is against the FILTERED value before
+        # as in the author's later code: the speed is against the previous FILTERED value
         a = smoothing(self.d_cutoff, seconds)
         self.speed = a * (x - self.value) / seconds + (1 - a) * self.speed
         alpha = smoothing(self.min_cutoff + self.beta * np.abs(self.speed), seconds)
@@ -46,8 +49,11 @@ class OneEuroFilter:
 
 
 class PoseFilter:
-    """Position by axis; rotation by slerp, its cutoff from the filtered angular speed (ours: the paper says "a simple
-    low pass filter" of the pose and gives no parameters, PAPERS 7)."""
+    """1€ filter of a pose: position by axis, rotation by slerp with a cutoff from the angular
+    speed.
+
+    Ours: the paper says "a simple low pass filter" of the pose and gives no parameters (PAPERS 7).
+    """
 
     def __init__(self, config: OneEuroConfig) -> None:
         self._config = config
@@ -55,7 +61,7 @@ class PoseFilter:
             config.position_cutoff, config.position_beta, config.d_cutoff
         )
         self._rotation: Array | None = None
-        self._turning = 0.0
+        self._angular_speed = 0.0
 
     def shift(self, offset: Array) -> None:
         """Carry the state along with an object that is known to have moved by offset (3,) m."""
@@ -71,10 +77,13 @@ class PoseFilter:
         else:
             c = self._config
             a = smoothing(c.d_cutoff, seconds)
-            self._turning = float(
-                a * rotation_angle(self._rotation.T @ T[:3, :3]) / seconds + (1 - a) * self._turning
+            self._angular_speed = float(
+                a * rotation_angle(self._rotation.T @ T[:3, :3]) / seconds
+                + (1 - a) * self._angular_speed
             )
-            alpha = float(smoothing(c.rotation_cutoff + c.rotation_beta * self._turning, seconds))
+            alpha = float(
+                smoothing(c.rotation_cutoff + c.rotation_beta * self._angular_speed, seconds)
+            )
             before, now = np.eye(4), np.eye(4)
             before[:3, :3], now[:3, :3] = self._rotation, T[:3, :3]
             between = interpolate_pose(pose_from_matrix(before), pose_from_matrix(now), alpha)

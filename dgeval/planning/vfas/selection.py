@@ -1,7 +1,9 @@
-"""VFAS-Grasp (section III): candidates round a seed grasp, their score, the region that adapts, and the pre-grasp logic.
+"""VFAS-Grasp (section III): candidates near a seed grasp, their score, the adaptive region,
+pre-grasp.
 
-One iteration: the seed moves with what moves near it, candidates are drawn round it and scored, the best one, low-passed,
-is the next seed. The goal is the pre-grasp pose until that has been held; then the grasp, open loop.
+In one iteration the seed moves with the motion field, candidates are drawn near it and scored, and
+the best one, low-passed, becomes the next seed. The goal is the pre-grasp pose until the gripper
+has held it; then it is the grasp, open loop.
 """
 
 from __future__ import annotations
@@ -21,21 +23,28 @@ from dgeval.networks.pointnet2 import CROP_HIGH, CROP_LOW, GraspEvaluator
 from dgeval.planning.vfas.one_euro import PoseFilter
 from dgeval.robots.hand import hand_for
 
-REACH = 0.20  # m about the seed, of the points that any candidate's crop may hold
-MOST_POINTS = 12_000
-LEAST_POINTS = 30  # in a crop; fewer are no scene to judge
-# of 6-DoF GraspNet: the gripper's control points in its own base frame, which lies this far behind our grasp frame
+REACH = 0.20  # m; points this near to the seed can lie in a candidate's crop
+MOST_POINTS = 12_000  # points of the cloud near the seed that are used
+LEAST_POINTS = 30  # points in a crop; with fewer the quality is 0
+# m; the Panda's control points in its base frame, of 6-DoF GraspNet (PAPERS section 4.1)
 CONTROL_POINTS = np.array(
-    [[0, 0, 0], [0, 0, 0], [0.05269, -0.00006, 0.07527], [-0.05269, 0.00006, 0.07527], [0.05269, -0.00006, 0.10527],
-     [-0.05269, 0.00006, 0.10527]]
-)  # fmt: skip
-PANDA_BEHIND = 0.0953  # m
+    [
+        [0, 0, 0],
+        [0, 0, 0],
+        [0.05269, -0.00006, 0.07527],
+        [-0.05269, 0.00006, 0.07527],
+        [0.05269, -0.00006, 0.10527],
+        [-0.05269, 0.00006, 0.10527],
+    ]
+)
+PANDA_BEHIND = 0.0953  # m from that base frame forward to our grasp frame
 
 
 def perturbed(T_seed: Array, half: Array, angle: float, rng: np.random.Generator) -> Array:
-    """T_seed (n, 4, 4) right-multiplied by uniform motions: ±half (3,) m, pitch (about y) and yaw (about z) ±angle rad.
+    """T_seed (n, 4, 4) right-multiplied by uniformly drawn motions.
 
-    Roll, about the closing axis x, stays; R = Rz(yaw) Ry(pitch) (PAPERS B4).
+    Position within ±half (3,) m, pitch (about y) and yaw (about z) within ±angle rad. Roll, about
+    the closing axis x, stays: R = Rz(yaw) Ry(pitch) (PAPERS B4).
     """
     n = len(T_seed)
     moves = np.tile(np.eye(4), (n, 1, 1))
@@ -45,7 +54,10 @@ def perturbed(T_seed: Array, half: Array, angle: float, rng: np.random.Generator
 
 
 def distances(T_seed: Array, T: Array) -> tuple[Array, Array]:
-    """T (n,) m and R (n,) rad of equation 1: translation and rotation between the seed (4, 4) and candidates (n, 4, 4)."""
+    """Translation (n,) m and rotation (n,) rad from a seed (4, 4) to candidates (n, 4, 4).
+
+    T and R of equation 1.
+    """
     turned = np.swapaxes(T_seed[:3, :3][None], 1, 2) @ T[:, :3, :3]
     cosine = np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1)
     return np.linalg.norm(T[:, :3, 3] - T_seed[:3, 3], axis=1), np.arccos(cosine)
@@ -53,7 +65,10 @@ def distances(T_seed: Array, T: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Scores:
-    """Of candidates (n,): S of equation 1, mean quality, spread of the quality under noise (nan where it was not tried)."""
+    """S of equation 1, mean quality and spread of the quality under noise, of candidates (n,).
+
+    The spread is NaN and S is -inf for candidates that were not evaluated with noise.
+    """
 
     score: Array
     quality: Array
@@ -61,14 +76,14 @@ class Scores:
 
 
 def gripper_points(n: int, rng: np.random.Generator) -> Array:
-    """Points (n, 3) m on the links of VFAS-Grasp's open gripper, frame of grasps (its section III-B)."""
+    """Points (n, 3) m on the links of VFAS-Grasp's open gripper, grasp frame (section III-B)."""
     points = hand_for("vfas").link_points
     assert points is not None
     return points(n, rng)
 
 
 class GraspJudge:
-    """Equation 1: quality by the network, its spread over noisy copies, and distance from the seed."""
+    """Equation 1: the network's quality, its spread over noisy copies, distance from the seed."""
 
     def __init__(self, network: GraspEvaluator, config: VfasConfig) -> None:
         self._network, self._config = network, config
@@ -76,7 +91,10 @@ class GraspJudge:
         self._gripper = torch.from_numpy(links.astype(np.float32))[None]
 
     def quality(self, clouds: Sequence[Array], T_base_grasp: Array) -> Array:
-        """Quality (k, n) of grasps (n, 4, 4) in each of k clouds (m, 3), base frame; 0 where nothing is near."""
+        """Quality (k, n) in 0..1 of grasps (n, 4, 4) in each of k clouds (m, 3) m, base frame.
+
+        0 where fewer than LEAST_POINTS lie in the grasp's crop.
+        """
         s = self._network.sizes
         if s.centre == "mean":
             return np.stack([self._about_the_mean(cloud, T_base_grasp) for cloud in clouds])
@@ -87,24 +105,26 @@ class GraspJudge:
             np.concatenate([c[1] for c in cropped]),
         )
         out = np.zeros(len(points))
-        able = np.flatnonzero(counts >= LEAST_POINTS)
-        if len(able):
-            out[able] = (
-                self._network.success(torch.from_numpy(points[able]), self._gripper)
+        usable = np.flatnonzero(counts >= LEAST_POINTS)
+        if len(usable):
+            out[usable] = (
+                self._network.success(torch.from_numpy(points[usable]), self._gripper)
                 .double()
                 .numpy()
             )
         return out.reshape(len(clouds), -1)
 
     def _about_the_mean(self, cloud: Array, T_base_grasp: Array) -> Array:
-        """As the public weights want it: one cloud about its mean, the gripper's control points in it."""
+        """Quality (n,) by the public weights: cloud and control points with the mean subtracted."""
         if len(cloud) < LEAST_POINTS:
             return np.zeros(len(T_base_grasp))
         points = cloud[np.arange(self._network.sizes.scene) % len(cloud)]
         mean = points.mean(axis=0)
-        tool = CONTROL_POINTS - [0, 0, PANDA_BEHIND]
+        control_points = CONTROL_POINTS - [0, 0, PANDA_BEHIND]
         grippers = (
-            tool @ np.swapaxes(T_base_grasp[:, :3, :3], 1, 2) + T_base_grasp[:, None, :3, 3] - mean
+            control_points @ np.swapaxes(T_base_grasp[:, :3, :3], 1, 2)
+            + T_base_grasp[:, None, :3, 3]
+            - mean
         )
         scene = np.tile((points - mean).astype(np.float32), (len(T_base_grasp), 1, 1))
         return (
@@ -118,7 +138,11 @@ class GraspJudge:
     def scores(
         self, cloud: Array, T_base_grasp: Array, T_seed: Array, rng: np.random.Generator
     ) -> Scores:
-        """Scores of candidates. `all`: k noisy copies of every one, as the paper; `top8`: of the eight that lead without."""
+        """Scores of candidates (n, 4, 4).
+
+        noise_candidates `all`: all are evaluated in noisy copies of the cloud, as in the paper;
+        `top8`: only the eight that score best without noise and spread.
+        """
         c = self._config
         metres, radians = distances(T_seed, T_base_grasp)
         penalty = c.k1 * metres + c.k2 * radians
@@ -128,13 +152,13 @@ class GraspJudge:
         else:
             quality = self.quality([cloud], T_base_grasp)[0]
             chosen = np.argsort(-(quality - penalty), kind="stable")[:8]
-        # the same noise for all of them, so that what tells them apart is not its draw
+        # the same noise for all candidates, so that they don't differ by its draw
         clouds = [cloud + rng.normal(0, c.noise, cloud.shape) for _ in range(c.copies)]
         noisy = self.quality(clouds, T_base_grasp[chosen])
         spread = np.full(n, np.nan)
         spread[chosen] = np.ptp(noisy, axis=0)
         quality[chosen] = noisy.mean(axis=0)
-        # only those whose spread is known may be chosen
+        # only candidates with a known spread may be chosen
         score = np.where(
             np.isnan(spread), -np.inf, quality - penalty - c.k3 * np.nan_to_num(spread)
         )
@@ -143,9 +167,10 @@ class GraspJudge:
 
 @dataclass(frozen=True)
 class Selected:
-    """One iteration: the seed after it and the goal, T_base_grasp; the best candidate's score, quality and spread.
+    """Result of one iteration: the seed after it and the goal, T_base_grasp (4, 4).
 
-    factor: of the region that was searched; n candidates; tracking: a good grasp has been found; execute: advance now.
+    score, quality, spread: of the best candidate. factor: scale of the searched region. n: number
+    of candidates. tracking: a good grasp has been found. execute: advance to the grasp now.
     """
 
     T_base_seed: Array
@@ -160,7 +185,10 @@ class Selected:
 
 
 class Vfas:
-    """The planner's state through a trial. `searching`: the seed stays until a good grasp is found (handover)."""
+    """The planner and its state in a trial.
+
+    searching: the seed stays where it is until a good grasp is found (handover).
+    """
 
     def __init__(
         self,
@@ -186,14 +214,14 @@ class Vfas:
         velocity: Array | None,
         T_base_hand: Array | None,
     ) -> Selected:
-        """One iteration, `seconds` after the one before it.
+        """One iteration, `seconds` after the previous one.
 
-        cloud (m, 3): what the wrist camera sees, base frame. velocity (3,) m/s: of the motion field, None where it has none.
-        T_base_hand: the gripper's grasp frame now.
+        cloud (m, 3) m of the wrist camera, base frame. velocity (3,) m/s of the motion field, base
+        frame, or None. T_base_hand (4, 4): the gripper's grasp frame now, or None.
         """
         c = self._config
         if self._final is not None or not c.refine:
-            return self._as_it_is(T_base_hand)
+            return self._unchanged(T_base_hand)
         if velocity is not None and c.motion_field and self.tracking:
             self.T_base_seed = self.T_base_seed.copy()
             self.T_base_seed[:3, 3] += velocity * seconds
@@ -219,12 +247,19 @@ class Vfas:
             self.T_base_seed = self._filter.step(T, seconds) if c.low_pass else T
         goal = self._goal(T_base_hand, good)
         return Selected(
-            self.T_base_seed, goal, float(scores.score[best]), float(scores.quality[best]), float(scores.spread[best]),
-            factor, n, self.tracking, self._final is not None,
-        )  # fmt: skip
+            self.T_base_seed,
+            goal,
+            float(scores.score[best]),
+            float(scores.quality[best]),
+            float(scores.spread[best]),
+            factor,
+            n,
+            self.tracking,
+            self._final is not None,
+        )
 
-    def _as_it_is(self, T_base_hand: Array | None) -> Selected:
-        """No sampling: the last advance, which is open loop, and the baseline, whose seed is executed as it was given."""
+    def _unchanged(self, T_base_hand: Array | None) -> Selected:
+        """No sampling: the last, open-loop advance, or the baseline's given seed."""
         nan = float("nan")
         goal = self._goal(T_base_hand, True) if self._final is None else self._final
         return Selected(
@@ -232,7 +267,7 @@ class Vfas:
         )
 
     def _goal(self, T_base_hand: Array | None, good: bool) -> Array:
-        """The pre-grasp pose; the grasp, for good, once that has been held."""
+        """T_base_goal (4, 4): the pre-grasp pose; from when it has been held on, the grasp."""
         goal = self.T_base_seed.copy()
         goal[:3, 3] -= self._config.pregrasp * goal[:3, 2]
         if not self._hold(goal, T_base_hand, good):
@@ -241,7 +276,10 @@ class Vfas:
         return self._final
 
     def _hold(self, T_base_pregrasp: Array, T_base_hand: Array | None, good: bool) -> bool:
-        """Whether the pre-grasp pose of a good grasp has been tracked within tolerance for so many iterations (PAPERS B9)."""
+        """Whether the hand was at the pre-grasp pose of a good grasp for hold_iterations in a row.
+
+        Within hold_distance m and hold_angle degrees (PAPERS B9).
+        """
         c = self._config
         within = (
             T_base_hand is not None
