@@ -204,12 +204,14 @@ def test_twin_finds_a_close_that_came_too_early(tmp_path: Path) -> None:
     assert said.shift_s > 0
 
 
+@pytest.mark.slow
 def test_twin_finds_an_offset_that_no_close_time_saves(tmp_path: Path) -> None:
     true, said = verdict_on(tmp_path, Faults(grasp_offset=(0, 0.05, 0, 0, 0, 0)), "gelatin_box")
     assert true == "imprecise_pose"
     assert class_of(said) == "imprecise_pose"
 
 
+@pytest.mark.slow
 def test_an_error_of_the_path_far_from_the_hand_is_no_push(tmp_path: Path) -> None:
     campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
     plan = Plan("t", "sugar_box", 0.08, 0.47, -0.2, 0.3, -0.2, Faults(close_shift=-2.0), 5, 0)
@@ -222,6 +224,7 @@ def test_an_error_of_the_path_far_from_the_hand_is_no_push(tmp_path: Path) -> No
         assert draw.facts.displacement_m < 0.005
 
 
+@pytest.mark.slow
 def test_probabilities_are_shares(tmp_path: Path) -> None:
     for method in ("twin", "geometry"):
         _, said = verdict_on(tmp_path, Faults(close_shift=-2.0), method=method)
@@ -238,6 +241,7 @@ def test_a_place_that_is_not_known_gives_no_class(tmp_path: Path) -> None:
     assert "50 mm" in said.reason
 
 
+@pytest.mark.slow
 def test_a_part_that_put_the_palm_off_is_blamed(tmp_path: Path) -> None:
     # the believed object 50 mm beside the true one: the hand would have held it without that
     campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
@@ -262,6 +266,7 @@ def test_a_part_that_put_the_palm_off_is_blamed(tmp_path: Path) -> None:
     assert blame_of(decision, not_recorded).part == Unknown("beliefs not recorded")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("faults", "part"),
     [
@@ -309,6 +314,7 @@ def test_gains_of_a_servo_and_growth_of_an_error() -> None:
     assert steady(twists, 900_000_000) == []  # the filter has not settled
 
 
+@pytest.mark.slow
 def test_fingers_that_close_elsewhere_tell_a_wrong_place(tmp_path: Path) -> None:
     campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
     plan = Plan(
