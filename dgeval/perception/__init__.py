@@ -1,1 +1,1 @@
-"""From frames to the object's pose and velocity: one file per stage. No I/O, no global state."""
+"""From frames to the object's pose and velocity, one module per stage. No I/O, no global state."""

@@ -1,4 +1,7 @@
-"""Gauss-Newton on one rigid pose from depth (point to plane) and image features (reprojection), both robust."""
+"""Gauss-Newton on one rigid pose: depth (point to plane) and image features (reprojection).
+
+Both terms have robust weights.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +9,25 @@ import numpy as np
 
 from dgeval.geometry import Array, Intrinsics, cross, increment
 
-SIGMA_PIXEL = 0.5
-# Neighbouring depth pixels share their errors (the matching window of the camera spans several), so n of them tell less
-# than n independent ones. Measured on made recordings with correlated noise; see benchmarks/registration.py.
+SIGMA_PIXEL = 0.5  # px, standard deviation of a feature's position
+# Neighbouring depth pixels share their errors, because the camera's matching window spans several
+# of them, so n pixels give less information than n independent ones. Measured on synthetic
+# recordings with correlated noise; see benchmarks/registration.py.
 DEPTH_WEIGHT = 0.1
 
 
 def tukey(residual: Array, scale: float) -> Array:
-    """Tukey's biweight: 1 at zero, 0 from `scale` on."""
+    """Tukey's biweight of residuals: 1 at zero, 0 from `scale` (same unit) on."""
     return np.asarray(np.where(np.abs(residual) < scale, (1 - (residual / scale) ** 2) ** 2, 0.0))
 
 
 def depth_normal_equations(
     points: Array, targets: Array, normals: Array, sigma: Array, cutoff: float
 ) -> tuple[Array, Array, int]:
-    """H (6, 6), g (6,) of point-to-plane residuals n·(target − point) for a left motion of `points`, camera frame.
+    """H (6, 6), g (6,) of point-to-plane residuals n·(target − point), and the number in use.
 
-    Unknowns are [translation m, rotation rad]; `cutoff` m is where the robust weight ends. Returns the number in use.
+    For a motion of `points` from the left, [translation m, rotation rad], camera frame. points,
+    targets and normals are (n, 3), sigma (n,) m; the robust weight is 0 from `cutoff` m on.
     """
     residual = np.einsum("ij,ij->i", normals, targets - points)
     weight = tukey(residual, cutoff) * DEPTH_WEIGHT / sigma**2
@@ -34,7 +39,11 @@ def depth_normal_equations(
 def feature_normal_equations(
     points: Array, pixels: Array, camera: Intrinsics, cutoff: float
 ) -> tuple[Array, Array, int]:
-    """H (6, 6), g (6,) of reprojection residuals for a left motion of `points` (n, 3), camera frame; cutoff in px."""
+    """H (6, 6), g (6,) of reprojection residuals, and the number of features in use.
+
+    For a motion of `points` (n, 3) m from the left, camera frame; pixels (n, 2) px; the robust
+    weight is 0 from `cutoff` px on.
+    """
     ahead = points[:, 2] > 0.05
     points, pixels = points[ahead], pixels[ahead]
     if not len(points):
@@ -61,7 +70,8 @@ def feature_normal_equations(
 
 
 def solve(H: Array, g: Array) -> Array:
-    """The step T <- increment * T; directions that nothing constrains do not move."""
-    # translation in metres and rotation about a point ~1 m away differ little in scale, so one damping serves
+    """The increment (4, 4) of the step T <- increment * T; unconstrained directions don't move."""
+    # translation in m and rotation about a point 1 m away have similar scales, so both get the same
+    # damping
     damping = 1e-6 * np.trace(H) / 6 + 1e-9
     return increment(np.linalg.solve(H + damping * np.eye(6), g))

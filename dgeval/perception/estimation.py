@@ -1,4 +1,7 @@
-"""The target's velocity from one feature point on it, by a Kalman filter (paper III-B.3, PAPERS 7 and A8)."""
+"""The target's velocity from one feature point on it, by a Kalman filter.
+
+Paper III-B.3; PAPERS 7 and A8.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +19,11 @@ START_VELOCITY_VARIANCE = 0.25  # (m/s)^2, PAPERS section 7
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Velocity (3,) m/s in the base frame, sqrt of the largest eigenvalue of its covariance, NIS of the last update.
+    """Position (3,) m of the feature point and velocity (3,) m/s, base frame.
 
-    `position` (3,) is the filter's feature point, base frame; `stale` after null_after_s without an accepted frame.
+    velocity_sd: m/s, root of the largest eigenvalue of the velocity's covariance. nis: normalised
+    innovation squared of the update, None without one. stale: null_after_s have passed without an
+    accepted frame.
     """
 
     position: Array
@@ -29,7 +34,7 @@ class Estimate:
 
 
 class VelocityFilter:
-    """Constant velocity per axis, x = [position, velocity], with each frame's real time step."""
+    """Constant-velocity Kalman filter, x = [position m, velocity m/s], with real time steps."""
 
     def __init__(self, config: EstimationConfig) -> None:
         self.config = config
@@ -50,9 +55,10 @@ class VelocityFilter:
         self._filter, self._t_ns, self._accepted_ns = f, t_ns, t_ns
 
     def step(self, t_ns: int, position: Array | None) -> Estimate | None:
-        """Advance to t_ns with the measured feature point (3,) m, base frame, or None when there is none.
+        """Advance to t_ns; returns None before the first measurement.
 
-        None before the first measurement. With loss_policy "zero" the target stands still while unseen.
+        position: measured feature point (3,) m, base frame, or None. With loss_policy "zero" the
+        target stands still in frames without a measurement.
         """
         if self._filter is None:
             if position is None:
@@ -78,7 +84,7 @@ class VelocityFilter:
         return self._estimate(nis)
 
     def ahead(self, t_ns: int) -> Array:
-        """Where the feature point will have moved by t_ns since the last step (3,) m, base frame."""
+        """Predicted motion (3,) m of the feature point from the last step to t_ns, base frame."""
         if self._filter is None or (
             self.config.loss_policy == "zero" and self._t_ns != self._accepted_ns
         ):

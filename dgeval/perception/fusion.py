@@ -1,4 +1,4 @@
-"""Smoothing by the previous observations and merging into the model cloud (paper equations 1 and 2)."""
+"""Filtering by previous observations and merging into the model cloud (paper equations 1 and 2)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from dgeval.perception.types import Model, Observation
 
 
 def supported(points: Array, previous: Sequence[KdTree], epsilon: float) -> NDArray[np.bool_]:
-    """Equation 1: which points (n, 3) have, in every previous observation, a point closer than epsilon m (strictly)."""
+    """Equation 1: which points (n, 3) lie within epsilon m of all previous observations.
+
+    Strictly: the nearest point of each observation is nearer than epsilon.
+    """
     keep = np.ones(len(points), dtype=bool)
     for tree in previous:
         if not keep.any():
@@ -26,9 +29,9 @@ def supported(points: Array, previous: Sequence[KdTree], epsilon: float) -> NDAr
 
 
 class Fusion:
-    """Q_t and the last n_s accepted observations, all kept in the model frame, which moves with the object.
+    """Q_t and the last n_s accepted observations, in the model frame, which moves with the object.
 
-    Keeping them there is the same as moving them into each new camera frame, without adding up rounding.
+    This equals moving them into each new camera frame, but rounding errors don't add up.
     """
 
     def __init__(self, config: FusionConfig) -> None:
@@ -42,7 +45,10 @@ class Fusion:
     def step(
         self, observation: Observation, T_model_camera: Array, rng: np.random.Generator
     ) -> int:
-        """Merge an accepted observation; returns the size of P″_t. Points without a normal are not merged."""
+        """Merge an accepted observation; returns the number of points of P″_t.
+
+        Points without a normal are not merged. rng thins a model of too many points.
+        """
         has_normal = np.einsum("ij,ij->i", observation.normals, observation.normals) > 0.5
         points = transform(T_model_camera, observation.points)
         normals = observation.normals @ T_model_camera[:3, :3].T

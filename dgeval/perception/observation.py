@@ -1,4 +1,7 @@
-"""P_t: the target's pixels as points, freed of what lies far from the median depth (paper III-A.2, PAPERS A13)."""
+"""P_t: the target's pixels as points, without those far from the median depth.
+
+Paper III-A.2, PAPERS A13.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from dgeval.recording.frame import Frame
 def observe(
     frame: Frame, tracked: Tracked, rng: np.random.Generator, config: ObservationConfig
 ) -> Observation | None:
-    """Points and normals of the mask, at most `max_points` of them; None with fewer than `min_points`."""
+    """Points of the mask with normals; at most `max_points`, None below `min_points`."""
     if tracked.mask is None or tracked.window is None:
         return None
     x0, y0, x1, y1 = tracked.window
@@ -27,7 +30,8 @@ def observe(
     if len(v) < config.min_points:
         return None
     if len(v) > config.max_points:
-        # one pixel from each of max_points stretches of the row-ordered list: even cover, seeded
+        # one pixel at random of each of max_points equal parts of the row-ordered list, so that the
+        # pixels cover the mask evenly
         edges = np.linspace(0, len(v), config.max_points + 1)
         chosen = (edges[:-1] + rng.random(config.max_points) * np.diff(edges)).astype(int)
         v, u = v[chosen], u[chosen]

@@ -1,4 +1,7 @@
-"""The dominant plane around the target (table, belt, shelf), so that what the target stands on is not fused into it."""
+"""The dominant plane around the target (table, belt, shelf).
+
+It keeps the surface that the target stands on out of the model cloud.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +15,30 @@ from dgeval.geometry import Array, cross, depth_sigma
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """n·p + d = 0 in the camera frame, unit normal towards the camera (d > 0). `support` is the share that lies in it."""
+    """The plane n·p + d = 0, camera frame, with n (3,) of length 1 towards the camera, d > 0 m.
+
+    support: share of the points that lie in it.
+    """
 
     n: Array
     d: float
     support: float
 
     def height(self, points: Array) -> Array:
-        """Signed distance m of points (..., 3), positive on the camera's side."""
+        """Signed distance (...) m of points (..., 3) m, positive on the camera's side."""
         return np.asarray(points @ self.n + self.d)
 
     def moved(self, T_a_b: Array) -> Plane:
-        """This plane, given in frame b, in frame a."""
+        """This plane of frame b, expressed in frame a."""
         n = T_a_b[:3, :3] @ self.n
         return Plane(n, self.d - float(n @ T_a_b[:3, 3]), self.support)
 
 
 def fit_plane(points: Array, rng: np.random.Generator, config: PlaneConfig) -> Plane | None:
-    """Best plane through points (n, 3) m by seeded hypotheses and two least-squares refinements; None without support."""
+    """Plane with the most points (n, 3) m, from seeded hypotheses and two least-squares fits.
+
+    None if its support is too small, or with too few points.
+    """
     n = len(points)
     if n < 50:
         return None

@@ -1,7 +1,7 @@
-"""Aligning P_t to the model cloud Q_{t-1}, and the gate on the result (paper III-A.2, PAPERS A3 and A4).
+"""Registration of P_t to the model cloud Q_{t-1}, and the gate (paper III-A.2, PAPERS A3 and A4).
 
-Three libraries behind one function. Each gets the same clouds, search radius and starting pose; which one is the default
-is decided by benchmarks/registration.py.
+Three libraries have the same interface. Each gets the same clouds, search radius and starting pose;
+benchmarks/registration.py decides which one is the default.
 """
 
 from __future__ import annotations
@@ -19,16 +19,18 @@ from dgeval.perception import align
 from dgeval.perception.neighbours import nearest
 from dgeval.perception.types import Features, Model, Observation, Registration
 
+# (source (n, 3) m, target, T_model_camera to start from, configuration) -> T_model_camera
 Backend = Callable[[Array, Model, Array, RegistrationConfig], Array]
 
 
 def align_small_gicp(
     source: Array, target: Model, T_init: Array, config: RegistrationConfig
 ) -> Array:
-    """Point-to-plane ICP of small_gicp, one thread. T_model_camera.
+    """T_model_camera by the point-to-plane ICP of small_gicp, one thread.
 
-    Its clouds don't take normals from outside, so they are estimated here, on every second point of a full model; both
-    thinnings are for time and cost no accuracy that benchmarks/registration.py can see.
+    Its clouds don't take given normals, so normals are estimated here, on every second point of a
+    full model. Both clouds are thinned to save time; benchmarks/registration.py measures no loss of
+    accuracy.
     """
     import small_gicp
 
@@ -51,7 +53,7 @@ def align_small_gicp(
 
 
 def align_open3d(source: Array, target: Model, T_init: Array, config: RegistrationConfig) -> Array:
-    """Point-to-plane ICP of Open3D's legacy pipeline, one thread. T_model_camera."""
+    """T_model_camera by the point-to-plane ICP of Open3D's legacy pipeline, one thread."""
     o3d = import_open3d()
     clouds = []
     for points in (source, target.points):
@@ -74,10 +76,10 @@ def align_open3d(source: Array, target: Model, T_init: Array, config: Registrati
 def align_kiss_icp(
     source: Array, target: Model, T_init: Array, config: RegistrationConfig
 ) -> Array:
-    """KISS-ICP's point-to-point registration against a 5 mm voxel map, one thread. T_model_camera.
+    """T_model_camera by KISS-ICP's point-to-point registration to a 5 mm voxel map, one thread.
 
-    Its configuration class reads the environment, so the parts are built directly; they are made for LiDAR and scaled
-    to a hand-sized object here.
+    Its configuration class reads the environment, so the parts are built directly. They are made
+    for LiDAR; here their sizes are scaled to a hand-sized object.
     """
     from kiss_icp.mapping import VoxelHashMap
     from kiss_icp.registration import Registration as KissRegistration
@@ -102,24 +104,27 @@ BACKENDS: dict[str, Backend] = {
 
 
 def import_open3d() -> Any:
-    """Open3D on one thread. MissingDependencyError names what is missing on this machine."""
+    """The module open3d, set to one thread. MissingDependencyError names what is missing."""
     import ctypes
 
     try:
         import libusb_package
 
-        # Open3D's wheel needs libusb-1.0, which slim systems lack; the package brings one that needs no root
+        # Open3D's wheel needs libusb-1.0, which minimal systems lack; the package contains one that
+        # needs no root
         ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
     except (ImportError, OSError):
-        pass  # a system with its own libusb needs none of this, and without either the import below says so
+        pass  # a system may have its own libusb; without any the import below fails
     try:
         import open3d as o3d
     except (ImportError, OSError) as error:
-        hint = "apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6, or use --set registration.method=small_gicp"
+        hint = (
+            "apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6, or use "
+            "--set registration.method=small_gicp"
+        )
         raise MissingDependencyError(f"Open3D can't be imported ({error})", hint=hint) from error
-    o3d.utility.set_max_threads(
-        1
-    )  # its threads come from TBB, which OMP_NUM_THREADS does not reach
+    # Open3D's threads are TBB's, which OMP_NUM_THREADS does not limit
+    o3d.utility.set_max_threads(1)
     return o3d
 
 
@@ -131,10 +136,11 @@ def register(
     camera: Intrinsics,
     config: RegistrationConfig,
 ) -> Registration:
-    """Register P_t to Q_{t-1} from a starting pose, refine with image features, and measure the fit. No gate yet.
+    """Register P_t to Q_{t-1} from a starting pose, refine with image features, measure the fit.
 
-    Fitness is the share of P_t with a model point within the search radius; gate fitness the share within
-    max(5 mm, 2 sigma_z(z)); rmse m over the former.
+    The gate is not applied. Fitness: share of P_t with a model point within the search radius.
+    Gate fitness: share with one within max(gate_distance, 2 sigma_z(z)) m. rmse: m, over the points
+    that count for the fitness.
     """
     T = BACKENDS[config.method](observation.points, model, invert(T_camera_model), config)
     if not np.isfinite(T).all():
@@ -158,19 +164,21 @@ def _refine(
     camera: Intrinsics,
     config: RegistrationConfig,
 ) -> Array:
-    """Point to plane on the model's own normals, and what geometry leaves open settled by the features.
+    """T_camera_model refined point to plane with the model's normals, and by the features.
 
-    The normals were measured in the depth image; those a library estimates anew from the merged points are noisier and
-    cost degrees on a small box at 1 m (benchmarks/registration.py). Both terms weigh by their noise.
+    Features fix the directions that the geometry leaves free. The model's normals were measured in
+    the depth image; normals that a library estimates from the merged points are noisier and cost
+    degrees on a small box at 1 m (benchmarks/registration.py). Both terms are weighted by their
+    noise.
     """
     sigma = depth_sigma(observation.points[:, 2])
     for cutoff_m, cutoff_px in ((0.010, 3.0), (0.006, 2.0)):
         index, distance = nearest(tree, transform(invert(T), observation.points))
-        found = distance < config.search_radius
-        q = transform(T, model.points[index[found]])
-        n = model.normals[index[found]] @ T[:3, :3].T
+        matched = distance < config.search_radius
+        q = transform(T, model.points[index[matched]])
+        n = model.normals[index[matched]] @ T[:3, :3].T
         H, g, used = align.depth_normal_equations(
-            q, observation.points[found], n, sigma[found], cutoff_m
+            q, observation.points[matched], n, sigma[matched], cutoff_m
         )
         used_features = 0
         if features is not None and len(features.points) >= 6:
@@ -191,10 +199,11 @@ def gate(
     seconds: float,
     config: RegistrationConfig,
 ) -> str | None:
-    """Why a registration is refused, or None (paper III-A.2: fitness over c_a,f; motion under c_a,v and c_a,omega).
+    """Why a registration is rejected, or None if it is accepted.
 
-    Motion is that of the model's centroid (3,), model frame, and of its axes, relative to the camera, since the last
-    accepted frame, divided by the time since then (PAPERS A3).
+    Paper III-A.2: the fitness must exceed c_a,f, the motion must not exceed c_a,v and c_a,omega.
+    Motion is that of the model's centroid (3,) m, model frame, and of its axes, relative to the
+    camera, since the last accepted frame, `seconds` ago (PAPERS A3).
     """
     if registration.reject_reason is not None:
         return registration.reject_reason

@@ -1,4 +1,7 @@
-"""Which depth pixels belong to the target: by the box and depth steps in the first frame, by the model afterwards."""
+"""Which depth pixels belong to the target.
+
+In the first frame the box and depth steps decide, afterwards the model.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,16 @@ from dgeval.perception.types import Window
 
 Mask = NDArray[np.bool_]
 Box = tuple[float, float, float, float]
-DEPTH_STEP = 0.015  # m; neighbouring pixels farther apart than this (and 1 % of range) lie on different things
+# m; neighbouring pixels with a larger difference of depth (and over 1 % of the range) lie on
+# different surfaces
+DEPTH_STEP = 0.015
 
 
 def grow(box: Box, share: float, pixels: float, camera: Intrinsics) -> Window:
-    """The box with a border, as a pixel window inside the image (may be empty)."""
+    """Window of the box px grown by `share` of its size plus `pixels`, inside the image.
+
+    It may be empty.
+    """
     dx, dy = (box[2] - box[0]) * share + pixels, (box[3] - box[1]) * share + pixels
     x0, y0 = max(0, int(box[0] - dx)), max(0, int(box[1] - dy))
     return (
@@ -29,11 +37,12 @@ def grow(box: Box, share: float, pixels: float, camera: Intrinsics) -> Window:
 
 
 def is_empty(window: Window) -> bool:
+    """Whether a window contains no pixel."""
     return window[0] >= window[2] or window[1] >= window[3]
 
 
 def points_of(depth: NDArray[np.float32], window: Window, mask: Mask, camera: Intrinsics) -> Array:
-    """Camera points (n, 3) of the masked pixels of a depth window, in row order."""
+    """Points (n, 3) m, camera frame, of the masked pixels of a depth window, in row order."""
     v, u = np.nonzero(mask)
     return camera.backproject(
         u + float(window[0]), v + float(window[1]), depth[v, u].astype(np.float64)
@@ -41,7 +50,10 @@ def points_of(depth: NDArray[np.float32], window: Window, mask: Mask, camera: In
 
 
 def fill(depth: NDArray[np.float32], size: int = 3) -> NDArray[np.float32]:
-    """Depth with pinholes closed by the farthest neighbour, so that a grid of holes does not cut a surface apart."""
+    """Depth (h, w) m with small holes filled by the farthest neighbour within size x size pixels.
+
+    So a grid of holes does not cut a surface apart.
+    """
     wide = cv2.dilate(depth, np.ones((size, size), np.uint8))
     return np.where(depth > 0, depth, wide).astype(np.float32)
 
@@ -55,7 +67,10 @@ def surrounding_plane(
     rng: np.random.Generator,
     config: PlaneConfig,
 ) -> Plane | None:
-    """The dominant plane of what lies around the inner box in a window; the target's own faces have no vote."""
+    """The dominant plane in a window outside the inner box px, so without the target's own faces.
+
+    blocked (h, w): pixels to leave out.
+    """
     if not config.enabled:
         return None
     around = (depth > 0) & ~blocked
@@ -78,7 +93,7 @@ def surrounding_plane(
 def height_map(
     depth: NDArray[np.float32], window: Window, camera: Intrinsics, plane: Plane
 ) -> NDArray[np.float32]:
-    """Height m over the plane of every pixel of a window (meaningless where depth is 0)."""
+    """Height (h, w) m above the plane of every pixel of a window; meaningless where depth is 0."""
     u = plane.n[0] * (np.arange(window[0], window[2]) - camera.cx) / camera.fx
     v = plane.n[1] * (np.arange(window[1], window[3]) - camera.cy) / camera.fy + plane.n[2]
     return np.asarray(
@@ -93,7 +108,7 @@ def above_plane(
     plane: Plane | None,
     config: PlaneConfig,
 ) -> Mask:
-    """Pixels with depth that stand clear of the plane on the camera's side."""
+    """Pixels (h, w) with depth that lie above the plane by more than its tolerance."""
     valid: Mask = depth > 0
     if plane is None:
         return valid
@@ -103,7 +118,7 @@ def above_plane(
 
 
 def components(depth: NDArray[np.float32], free: Mask) -> tuple[int, NDArray[np.int32]]:
-    """Surfaces that hang together without a depth step, labels from 1."""
+    """Connected surfaces without a depth step: number of labels and labels (h, w), 0 for none."""
     filled = fill(np.where(free, depth, 0.0).astype(np.float32))
     limit = np.maximum(DEPTH_STEP, 0.01 * filled)
     kernel = np.ones((3, 3), np.uint8)
@@ -114,10 +129,10 @@ def components(depth: NDArray[np.float32], free: Mask) -> tuple[int, NDArray[np.
 
 
 def segment_box(depth: NDArray[np.float32], window: Window, free: Mask, box: Box) -> Mask:
-    """The target's pixels in the frame where its box was given.
+    """The target's pixels (h, w) in the frame in which its box px is given.
 
-    Among the surfaces of the window, those with most of their area inside the box; the largest, and with it the others
-    at a similar depth. If none lies mostly inside, what of the largest one is inside.
+    Of the surfaces with most of their area inside the box: the largest, and all others at a similar
+    depth. If no surface lies mostly inside, the part of the largest one that is inside.
     """
     count, labels = components(depth, free)
     inside = np.zeros(depth.shape, dtype=bool)
@@ -146,7 +161,7 @@ def segment_box(depth: NDArray[np.float32], window: Window, free: Mask, box: Box
             z = depth[(labels == label) & (depth > 0)]
             if len(z) and abs(float(np.median(z)) - depth_main) < 0.1:
                 chosen |= labels == label
-    # pixels at depth steps belong to no surface; those next to the target at its depth are its rim
+    # pixels at depth steps belong to no surface; those next to the target at its depth are its edge
     rim = cv2.dilate(chosen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     near = fill(np.where(chosen, depth, 0.0).astype(np.float32), 5)
     rim &= np.abs(depth - near) < DEPTH_STEP
@@ -161,9 +176,10 @@ def segment_model(
     camera: Intrinsics,
     reach: int,
 ) -> Mask:
-    """The target's pixels by its model at the estimated pose: near its silhouette (px) and close to it in depth.
+    """The target's pixels (h, w): near the silhouette of its model and close to it in depth.
 
-    `points` (n, 3) are the model's in the camera frame. What reaches beyond the silhouette must hang together with it.
+    points (n, 3) m: the model's, camera frame. reach: px beyond the silhouette; pixels there must
+    be connected to it.
     """
     pixels = np.rint(camera.project(points)).astype(int) - np.array(window[:2])
     height, width = depth.shape
@@ -174,7 +190,7 @@ def segment_model(
     drawn = np.zeros(depth.shape, np.float32)
     px = pixels[inside][order]
     drawn[px[:, 1], px[:, 0]] = points[inside, 2][order]
-    # the model is a set of points: close the gaps between them, then reach out for what newly came into view
+    # the model is a set of points: fill the gaps between them, then add what newly came into view
     spacing = 5
     near = np.where(drawn > 0, drawn, np.float32(10.0)).astype(np.float32)
     front = cv2.erode(near, np.ones((spacing, spacing), np.uint8))
@@ -196,7 +212,7 @@ def segment_model(
 
 
 def without_strays(mask: Mask, valid: Mask) -> Mask:
-    """The mask less pixels most of whose neighbours with depth are not in it: noise that stands out of the plane."""
+    """The mask without pixels whose neighbours with depth are mostly outside it: noise."""
     share = cv2.blur(mask.astype(np.float32), (5, 5)) / np.maximum(
         cv2.blur(valid.astype(np.float32), (5, 5)), np.float32(1e-3)
     )
@@ -204,7 +220,7 @@ def without_strays(mask: Mask, valid: Mask) -> Mask:
 
 
 def smoothed(depth: NDArray[np.float32], mask: Mask) -> NDArray[np.float32]:
-    """Masked depth (h, w) m, Gaussian-smoothed over what the mask holds; 0 where it holds too little."""
+    """Depth (h, w) m, Gaussian-smoothed over masked pixels; 0 where too few of them are near."""
     total = cv2.GaussianBlur(mask.astype(np.float32), (7, 7), 1.5)
     smooth = cv2.GaussianBlur(np.where(mask, depth, np.float32(0.0)), (7, 7), 1.5)
     return np.where(total > 0.15, smooth / np.maximum(total, np.float32(1e-6)), np.float32(0.0))
@@ -217,15 +233,18 @@ def normals_at(
     u: NDArray[np.intp],
     camera: Intrinsics,
 ) -> Array:
-    """Unit normals (n, 3) towards the camera at pixels of a smoothed window; zero where a neighbour has no depth or a step."""
+    """Unit normals (n, 3) towards the camera at pixels (v, u) of a smoothed window.
+
+    Zero where a neighbouring pixel has no depth, or where there is a depth step.
+    """
     step = 2
     height, width = smooth.shape
-    corners_ = []
+    neighbours = []
     for dv, du in ((0, step), (0, -step), (step, 0), (-step, 0)):
         vv, uu = np.clip(v + dv, 0, height - 1), np.clip(u + du, 0, width - 1)
         z = smooth[vv, uu].astype(np.float64)
-        corners_.append(camera.backproject(uu + float(window[0]), vv + float(window[1]), z))
-    right, left, down, up = corners_
+        neighbours.append(camera.backproject(uu + float(window[0]), vv + float(window[1]), z))
+    right, left, down, up = neighbours
     n = cross(down - up, right - left)
     length = np.linalg.norm(n, axis=1)
     ok = (
@@ -233,8 +252,8 @@ def normals_at(
         & (np.abs(right[:, 2] - left[:, 2]) < DEPTH_STEP)
         & (np.abs(down[:, 2] - up[:, 2]) < DEPTH_STEP)
     )
-    for corner in corners_:
-        ok &= corner[:, 2] > 0
+    for neighbour in neighbours:
+        ok &= neighbour[:, 2] > 0
     out = np.zeros((len(v), 3))
     out[ok] = n[ok] / length[ok, None]
     out[np.einsum("ij,ij->i", out, right) > 0] *= -1

@@ -1,4 +1,7 @@
-"""Depth that belongs to the robot's own hand, found from its geometry at the recorded joints (DESIGN section 4)."""
+"""Depth pixels of the robot's own hand, from its geometry at the recorded joints.
+
+DESIGN section 4.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,14 @@ from numpy.typing import NDArray
 from dgeval.geometry import Array, Intrinsics, invert, transform
 from dgeval.robots.description import LinkShape
 
-Hand = list[tuple[LinkShape, Array]]
+Hand = list[tuple[LinkShape, Array]]  # solids of the hand with their T_camera_shape (4, 4)
 
 
 def signed_distance(shape: LinkShape, points: Array) -> Array:
-    """Distance m of points (n, 3) in the shape's own frame to its surface, negative inside.
+    """Distance (n,) m of points (n, 3) m, shape's frame, to the shape's surface; negative inside.
 
-    Exact for box, sphere, capsule and cylinder; for a hull a lower bound outside (distance to its planes).
+    Exact for box, sphere, capsule and cylinder; outside a hull a lower bound (distance to its
+    planes).
     """
     if shape.kind == "sphere":
         return np.asarray(np.linalg.norm(points, axis=1) - shape.size[0])
@@ -43,12 +47,12 @@ def hand_pixels(
     hand: Hand,
     margin: float,
 ) -> NDArray[np.bool_]:
-    """Mask (h, w) of the pixels of a depth window whose point lies within `margin` m of a hand solid.
+    """Mask (h, w) of the pixels of a depth window that lie within `margin` m of a hand solid.
 
-    `origin` is the window's upper left corner (x, y) in the image.
+    origin: px, the window's upper left corner (x, y) in the image.
     """
     out = np.zeros(depth.shape, dtype=bool)
-    near, far = _reach(depth)
+    near, far = _depth_range(depth)
     for shape, T_camera_shape in hand:
         centre = T_camera_shape[:3, 3]
         reach = shape.bound + margin
@@ -70,7 +74,8 @@ def hand_pixels(
     return out
 
 
-def _reach(depth: NDArray[np.float32]) -> tuple[float, float]:
+def _depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
+    """Least and greatest depth m of the valid pixels; zeros if there are none."""
     valid = depth[depth > 0]
     return (float(valid.min()), float(valid.max())) if len(valid) else (0.0, 0.0)
 
@@ -78,7 +83,10 @@ def _reach(depth: NDArray[np.float32]) -> tuple[float, float]:
 def _window(
     centre: Array, reach: float, origin: tuple[int, int], shape: tuple[int, ...], camera: Intrinsics
 ) -> tuple[int, int, int, int] | None:
-    """Pixels of the window that a ball around the shape can cover; all of it where the ball holds the camera."""
+    """Part x0, y0, x1, y1 px of the window that a ball about the shape can cover, or None.
+
+    The whole window if the camera lies in the ball.
+    """
     z = centre[2] - reach
     if z <= 0.02:
         return 0, 0, shape[1], shape[0]

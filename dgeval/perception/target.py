@@ -1,4 +1,4 @@
-"""Finding the target without a box: what stands on the dominant plane, nearest to where the palm closed."""
+"""Finds the target without a box: of what stands on the dominant plane, the nearest to the palm."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from dgeval.perception.plane import fit_plane
 from dgeval.perception.self_filter import hand_pixels
 from dgeval.recording.frame import Frame
 
-MAX_HEIGHT = 0.4  # m over the plane
-MIN_PIXELS = 150
+MAX_HEIGHT = 0.4  # m above the plane; higher pixels are not part of an object
+MIN_PIXELS = 150  # smallest component that can be the target
 
 
 def find_target(
     frame: Frame, T_base_camera: Array | None, palm_at_close: Array | None, config: Config
 ) -> tuple[float, float, float, float] | None:
-    """Box px of the component above the dominant plane nearest to palm_at_close (3,) m, base frame.
+    """Box x0, y0, x1, y1 px of the component above the dominant plane nearest to palm_at_close.
 
-    Without a close in the log, the largest component, those cut by the image's border last. None if nothing stands out.
+    palm_at_close (3,) m, base frame. Without it, or without the camera's pose: the largest
+    component, and one that the image's border cuts only if there is no other. None if there is no
+    component.
     """
     window = (0, 0, frame.camera.width, frame.camera.height)
     hand = np.zeros(frame.depth.shape, dtype=bool)

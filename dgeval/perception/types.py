@@ -1,4 +1,4 @@
-"""What passes between the stages."""
+"""The data that pass between the stages."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from dgeval.failure_rule import Tracking
 from dgeval.geometry import Array
 from dgeval.perception.plane import Plane
 
-Window = tuple[int, int, int, int]
+Window = tuple[int, int, int, int]  # x0, y0, x1, y1 px
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """The model cloud Q in the model frame: points (n, 3) m, unit normals (n, 3), towards where they were seen from."""
+    """The model cloud Q, model frame: points (n, 3) m and unit normals (n, 3).
+
+    Normals point to the side from which the point was observed.
+    """
 
     points: Array
     normals: Array
@@ -24,7 +27,7 @@ class Model:
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Image features followed on the target: model points (n, 3) m and where they are seen now (n, 2) px."""
+    """Image features on the target: points (n, 3) m, model frame, and their pixels (n, 2) now."""
 
     points: Array
     pixels: Array
@@ -32,10 +35,10 @@ class Features:
 
 @dataclass(frozen=True)
 class Tracked:
-    """The image tracker's word on one frame.
+    """The tracker's result for one frame.
 
-    `box` x0 y0 x1 y1 px (inside the image), `mask` the target's pixels with usable depth inside `window`
-    (x0, y0, x1, y1), T_camera_model the tracker's own pose where it has one.
+    box: x0, y0, x1, y1 px, inside the image. mask: the target's pixels with usable depth in
+    `window`; mask_area: their number. T_camera_model (4, 4): the tracker's own pose, if it has one.
     """
 
     state: Tracking
@@ -50,7 +53,7 @@ class Tracked:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """P_t in the camera frame: points (n, 3) m with unit normals (n, 3); zero normals where none could be had."""
+    """P_t, camera frame: points (n, 3) m with unit normals (n, 3), zero where there is none."""
 
     points: Array
     normals: Array
@@ -58,7 +61,10 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Registration:
-    """One registration and the gate's word on it. `reject_reason` is None when accepted."""
+    """One registration: T_camera_model (4, 4), its fit, rmse m, and the gate's decision.
+
+    reject_reason: None if it is accepted.
+    """
 
     T_camera_model: Array
     fitness: float

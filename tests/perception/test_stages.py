@@ -1,4 +1,7 @@
-"""Catches, stage by stage: a sign, a unit, a frame or a bound that differs from the papers (PAPERS.md section 11)."""
+"""Catches, by stage: a sign, unit, frame or bound that differs from the papers.
+
+PAPERS.md section 11.
+"""
 
 from __future__ import annotations
 
@@ -45,6 +48,7 @@ CAMERA = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
 def at(
     x: float = 0, y: float = 0, z: float = 0, rotvec: tuple[float, float, float] = (0, 0, 0)
 ) -> np.ndarray:
+    """Pose (4, 4) with a position m and a rotation vector rad."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(rotvec).as_matrix()
     T[:3, 3] = (x, y, z)
@@ -56,29 +60,30 @@ def at(
 
 @given(st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3))
 def test_signed_distances_against_sampling(p: list[float]) -> None:
-    """A box and a cylinder against the distance to points sampled on their surface; sphere and capsule in closed form."""
+    """Catches a wrong distance or sign of sphere, capsule, box or cylinder: closed forms."""
     q = np.array([p])
     assert signed_distance(LinkShape("l", "sphere", np.eye(4), (0.1,)), q)[0] == pytest.approx(
         np.linalg.norm(q) - 0.1
     )
     axial = max(abs(p[2]) - 0.1, 0.0)
-    want = np.hypot(np.hypot(p[0], p[1]), axial) - 0.05
+    expected = np.hypot(np.hypot(p[0], p[1]), axial) - 0.05
     assert signed_distance(LinkShape("l", "capsule", np.eye(4), (0.05, 0.1)), q)[
         0
-    ] == pytest.approx(want)
+    ] == pytest.approx(expected)
     half = np.array([0.1, 0.05, 0.08])
     clipped = np.clip(q, -half, half)
-    got = signed_distance(LinkShape("l", "box", np.eye(4), tuple(half)), q)[0]
+    distance = signed_distance(LinkShape("l", "box", np.eye(4), tuple(half)), q)[0]
     outside = float(np.linalg.norm(q - clipped))
-    assert got == pytest.approx(outside if outside > 0 else -float((half - np.abs(q)).min()))
+    assert distance == pytest.approx(outside if outside > 0 else -float((half - np.abs(q)).min()))
     radial, height = np.hypot(p[0], p[1]) - 0.06, abs(p[2]) - 0.09
-    want = np.hypot(max(radial, 0), max(height, 0)) + min(max(radial, height), 0)
+    expected = np.hypot(max(radial, 0), max(height, 0)) + min(max(radial, height), 0)
     assert signed_distance(LinkShape("l", "cylinder", np.eye(4), (0.06, 0.09)), q)[
         0
-    ] == pytest.approx(want)
+    ] == pytest.approx(expected)
 
 
 def test_hull_is_its_planes() -> None:
+    """Catches a wrong sign inside a hull, and a distance to the wrong plane."""
     from scipy.spatial import ConvexHull
 
     corners = np.array(np.meshgrid([-0.1, 0.1], [-0.05, 0.05], [-0.02, 0.02])).T.reshape(-1, 3)
@@ -87,6 +92,7 @@ def test_hull_is_its_planes() -> None:
 
 
 def test_hand_pixels_take_the_hand_and_leave_what_is_behind() -> None:
+    """Catches background taken for the hand, and a window's origin forgotten."""
     depth = np.full((240, 320), 0.6, np.float32)
     depth[100:140, 150:170] = 0.3
     shape = LinkShape("finger", "sphere", np.eye(4), (0.02,), bound=0.02)
@@ -102,19 +108,21 @@ def test_hand_pixels_take_the_hand_and_leave_what_is_behind() -> None:
 
 
 def test_plane_is_found_among_clutter_and_faces_the_camera() -> None:
+    """Catches a plane tilted by clutter, and a normal away from the camera."""
     rng = np.random.default_rng(0)
     xy = rng.uniform(-0.3, 0.3, (900, 2))
     table = np.column_stack([xy, 0.8 + 0.3 * xy[:, 0] + rng.normal(0, 0.001, 900)])
     clutter = rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 0.7], (400, 3))
     plane = fit_plane(np.vstack([table, clutter]), generator(0, "plane", 0), PlaneConfig())
     assert plane is not None
-    want = np.array([0.3, 0, -1]) / np.linalg.norm([0.3, 0, -1])
-    assert np.degrees(np.arccos(abs(plane.n @ want))) < 0.3
+    expected = np.array([0.3, 0, -1]) / np.linalg.norm([0.3, 0, -1])
+    assert np.degrees(np.arccos(abs(plane.n @ expected))) < 0.3
     assert plane.d > 0
     assert plane.height(np.array([[0, 0, 0.7]]))[0] > 0.05
 
 
 def test_no_plane_in_a_ball() -> None:
+    """Catches a plane where too few points lie in one."""
     points = np.random.default_rng(1).normal(0, 0.2, (600, 3)) + np.array([0, 0, 1])
     assert fit_plane(points, generator(0, "plane", 0), PlaneConfig(min_support=0.5)) is None
 
@@ -123,19 +131,21 @@ def test_no_plane_in_a_ball() -> None:
 
 
 def test_observation_keeps_what_is_near_the_median_depth() -> None:
-    """Paper III-A.2: |z - median z| <= 0.1 m, in the camera's z, whatever the range."""
+    """Catches another bound than the paper's |z - median z| <= 0.1 m (III-A.2), and wrong limits on
+    the number of points.
+    """
     depth = np.full((240, 320), 0.5, np.float32)
     depth[100:110, 100:120] = 0.59
     depth[110:120, 100:120] = 0.61
     frame = Frame(0, 0, np.zeros((240, 320, 3), np.uint8), depth, CAMERA, None, None)
     mask = np.ones((40, 40), dtype=bool)
     tracked = Tracked("tracked", window=(90, 90, 130, 130), mask=mask, mask_area=1600)
-    seen = observe(
+    observation = observe(
         frame, tracked, generator(0, "observation", 0), ObservationConfig(max_points=5000)
     )
-    assert seen is not None
-    assert sorted({round(float(z), 2) for z in seen.points[:, 2]}) == [0.5, 0.59]
-    assert len(seen.points) == 1400
+    assert observation is not None
+    assert sorted({round(float(z), 2) for z in observation.points[:, 2]}) == [0.5, 0.59]
+    assert len(observation.points) == 1400
     few = observe(frame, tracked, generator(0, "observation", 0), ObservationConfig(max_points=300))
     assert few is not None
     assert len(few.points) == 300
@@ -152,6 +162,10 @@ def test_observation_keeps_what_is_near_the_median_depth() -> None:
 def box_cloud(
     rng: np.random.Generator, n: int, noise: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) m and normals (n, 3) of three faces of a box 0.6 m in front of the camera.
+
+    noise: standard deviation m.
+    """
     half = np.array([0.08, 0.05, 0.035])
     normals, points = [], []
     for axis, sign in ((0, -1), (1, -1), (2, -1)):
@@ -165,7 +179,10 @@ def box_cloud(
 
 @pytest.mark.parametrize("name", sorted(BACKENDS))
 def test_backends_recover_a_known_motion(name: str) -> None:
-    """T_model_camera of a cloud moved by 5 mm and 2 degrees; the inverse would be off by twice that."""
+    """Catches a backend that returns the inverse: a cloud moved by 5 mm and 2 degrees.
+
+    The inverse would be off by twice that.
+    """
     rng = np.random.default_rng(3)
     target, normals = box_cloud(rng, 3000, 0.0005)
     source, _ = box_cloud(rng, 1200, 0.0005)
@@ -186,6 +203,7 @@ def test_backends_recover_a_known_motion(name: str) -> None:
 
 
 def test_alignment_steps_reach_the_true_pose() -> None:
+    """Catches a wrong sign or Jacobian in the depth or the feature equations."""
     rng = np.random.default_rng(4)
     points, normals = box_cloud(rng, 900)
     truth = increment(np.array([0.004, -0.006, 0.005, 0.02, 0.01, -0.03]))
@@ -209,28 +227,34 @@ def test_alignment_steps_reach_the_true_pose() -> None:
     assert np.allclose(T, truth, atol=1e-4)
 
 
-def registered(T: np.ndarray, fitness: float = 0.9) -> Registration:
+def registration_at(T: np.ndarray, fitness: float = 0.9) -> Registration:
+    """A registration with that T_camera_model and gate fitness."""
     return Registration(T, 1.0, fitness, 0.001, None)
 
 
 def test_gate_bounds_are_the_papers() -> None:
-    """4 m/s and 4 rad/s at 30 Hz: 13.2 cm and 7.5 degrees pass, 13.5 cm and 7.8 do not; a dropped frame doubles them."""
+    """Catches other bounds than 4 m/s and 4 rad/s, and a time step that ignores dropped frames.
+
+    At 30 Hz 13.2 cm and 7.5 degrees pass, 13.5 cm and 7.8 degrees do not.
+    """
     c, dt, centre = RegistrationConfig(), 1 / 30, np.array([0.0, 0, 0.5])
     about = at(z=0.5)
 
     def turned(degrees: float) -> np.ndarray:
         return about @ at(rotvec=(0, np.radians(degrees), 0)) @ invert(about)
 
-    assert gate(registered(at(x=0.132)), np.eye(4), centre, dt, c) is None
-    assert gate(registered(at(x=0.135)), np.eye(4), centre, dt, c) == "translation"
-    assert gate(registered(turned(7.5)), np.eye(4), centre, dt, c) is None
-    assert gate(registered(turned(7.8)), np.eye(4), centre, dt, c) == "rotation"
-    assert gate(registered(at(x=0.26)), np.eye(4), centre, 2 * dt, c) is None
-    assert gate(registered(np.eye(4), 0.8), np.eye(4), centre, dt, c) == "fitness"
+    assert gate(registration_at(at(x=0.132)), np.eye(4), centre, dt, c) is None
+    assert gate(registration_at(at(x=0.135)), np.eye(4), centre, dt, c) == "translation"
+    assert gate(registration_at(turned(7.5)), np.eye(4), centre, dt, c) is None
+    assert gate(registration_at(turned(7.8)), np.eye(4), centre, dt, c) == "rotation"
+    assert gate(registration_at(at(x=0.26)), np.eye(4), centre, 2 * dt, c) is None
+    assert gate(registration_at(np.eye(4), 0.8), np.eye(4), centre, dt, c) == "fitness"
 
 
 def test_gate_fitness_sees_the_shift_that_plain_fitness_does_not() -> None:
-    """A 10 mm shift scores 1.00 at 20 mm on a box (PAPERS A4); the gate counts within 5 mm."""
+    """Catches a gate that counts within the search radius: on a box a shift of 10 mm has a share of
+    1.00 within 20 mm (PAPERS A4), but under 0.5 within the gate's 5 mm.
+    """
     rng = np.random.default_rng(5)
     points, normals = box_cloud(rng, 3000)
     moved = Observation(points[::3] + 0.01, normals[::3])
@@ -249,6 +273,7 @@ def test_gate_fitness_sees_the_shift_that_plain_fitness_does_not() -> None:
 
 
 def test_eps_ball_needs_every_previous_cloud_and_is_open() -> None:
+    """Catches any instead of every previous cloud, and <= instead of <."""
     clouds = [KdTree(np.array([[0.0, 0, 0], [1, 1, 1]])) for _ in range(5)]
     points = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.0099, 0, 0], [0.5, 0, 0]])
     assert supported(points, clouds, 0.01).tolist() == [True, False, True, False]
@@ -258,6 +283,7 @@ def test_eps_ball_needs_every_previous_cloud_and_is_open() -> None:
 
 
 def test_model_is_bounded_and_thinned_by_seed() -> None:
+    """Catches a model without a bound, and thinning that doesn't repeat or ignores the seed."""
     rng = np.random.default_rng(0)
     points, normals = box_cloud(rng, 900)
 
@@ -274,6 +300,7 @@ def test_model_is_bounded_and_thinned_by_seed() -> None:
 
 
 def test_observations_are_put_into_the_model_frame() -> None:
+    """Catches the inverse transform, and normals that are not rotated."""
     points, normals = box_cloud(np.random.default_rng(0), 300)
     fusion = Fusion(FusionConfig())
     T_model_camera = at(0.1, 0, 0, (0, 0, 1.0))
@@ -293,7 +320,10 @@ def test_observations_are_put_into_the_model_frame() -> None:
 def test_velocity_filter_reproduces_the_measured_table(
     sigma_a: float, rmse_mm: float, to_90: float, drift_mm: float
 ) -> None:
-    """PAPERS section 7 (30 Hz, 4 mm noise, 0.2 m/s from t = 1 s), within 20 %."""
+    """Catches a filter whose error, rise time or drift differs by over 20 % from PAPERS section 7.
+
+    30 Hz, 4 mm noise, 0.2 m/s from t = 1 s on.
+    """
     errors, reach, drift = [], [], []
     for trial in range(120):
         rng = np.random.default_rng(trial)
@@ -318,6 +348,8 @@ def test_velocity_filter_reproduces_the_measured_table(
 
 
 def test_loss_policy_and_staleness() -> None:
+    """Catches the two loss policies swapped, and an estimate stale too early or never."""
+
     def run(policy: str) -> list[float]:
         f = VelocityFilter(EstimationConfig(loss_policy=policy))
         for k in range(30):
@@ -333,6 +365,7 @@ def test_loss_policy_and_staleness() -> None:
 
 
 def test_filter_survives_equal_stamps_and_long_pauses() -> None:
+    """Catches a division by a time step of 0, and NaN after a minute."""
     f = VelocityFilter(EstimationConfig())
     for t in (0, 0, 10**9, 61 * 10**9):
         e = f.step(t, np.zeros(3))
@@ -344,6 +377,7 @@ def test_filter_survives_equal_stamps_and_long_pauses() -> None:
 
 
 def test_of_two_equal_grasps_the_nearer_wins() -> None:
+    """Catches the sign of the distance: only equation 5 read literally prefers the farther one."""
     far_and_near = np.array([at(x=0.3), at(x=0.1)])
     for literal, first in ((False, 1), (True, 0)):
         metric = grasp_metric(
@@ -353,6 +387,7 @@ def test_of_two_equal_grasps_the_nearer_wins() -> None:
 
 
 def test_metric_closed_form_and_nan_scores() -> None:
+    """Catches wrong weights, a NaN score that is chosen, and an unstable order of equal ones."""
     grasps = np.array([at(x=0.3, rotvec=(0, 0, 0.5)), np.eye(4)])
     metric = grasp_metric(grasps, np.array([0.9, np.nan]), np.eye(4), SelectionConfig())
     assert metric[0] == pytest.approx(0.9 - 0.1 * 0.3 - 0.2 * 0.5)
@@ -361,11 +396,12 @@ def test_metric_closed_form_and_nan_scores() -> None:
 
 
 def test_the_grasp_chosen_last_is_kept_until_another_is_better_by_the_margin() -> None:
+    """Catches a margin for the wrong grasp, a metric changed in place, and a slack for all."""
     metric = np.array([0.5, 0.64, 0.4])  # the last one is the grasp chosen before
     assert by_metric(metric, 0.2).tolist() == [1, 2, 0]
     assert by_metric(metric, 0.3).tolist() == [2, 1, 0]
     assert metric.tolist() == [0.5, 0.64, 0.4]
-    # it alone may lie deeper in a cloud whose noise has changed
+    # only this grasp may overlap the cloud more, since its noise has changed
     assert overlap_allowed(np.array([0, 2]), 3, True, 0.004).tolist() == pytest.approx(
         [0.004, 0.010]
     )
@@ -375,6 +411,7 @@ def test_the_grasp_chosen_last_is_kept_until_another_is_better_by_the_margin() -
 
 
 def test_servo_law_at_rest_is_proportional_plus_velocity() -> None:
+    """Catches a wrong gain, and the object's velocity left out."""
     servo = Servo(ServoConfig(), FIVE_FINGERS)
     v = np.array([0.05, 0, 0])
     command = servo.step(0, at(), at(x=0.04, rotvec=(0, 0, 0.2)), at(), np.array([0, 0, 1.0]), v)
@@ -387,17 +424,19 @@ def test_servo_law_at_rest_is_proportional_plus_velocity() -> None:
 
 
 def test_a_hand_sent_beyond_the_grasp_does_not_creep_up_to_it() -> None:
+    """Catches a goal not beyond the grasp, or beyond it also from behind, and a wrong error."""
     ahead = invert(T_hand_palm)[:3, 2]  # along the fingers of a palm in its own frame
     config = ServoConfig(beyond_m=0.012)
-    for metres, wanted in ((0.004, 0.016), (-0.004, -0.004)):  # before the grasp, and behind it
+    for metres, expected in ((0.004, 0.016), (-0.004, -0.004)):  # before the grasp, and behind it
         grasp = at()
         grasp[:3, 3] = metres * ahead
         command = Servo(config, FIVE_FINGERS).step(0, at(), grasp, None, np.zeros(3), np.zeros(3))
-        np.testing.assert_allclose(command.twist[:3], wanted * ahead, atol=1e-12)
+        np.testing.assert_allclose(command.twist[:3], expected * ahead, atol=1e-12)
         assert command.error_linear == pytest.approx(0.004)  # the error stays that to the grasp
 
 
 def test_servo_derivative_is_filtered_and_damps_a_growing_error() -> None:
+    """Catches a derivative with the wrong time step or gain: closed form for a steady growth."""
     servo = Servo(ServoConfig(), FIVE_FINGERS)
     for k in range(200):
         command = servo.step(
@@ -407,6 +446,7 @@ def test_servo_derivative_is_filtered_and_damps_a_growing_error() -> None:
 
 
 def test_orientation_blends_from_object_to_grasp() -> None:
+    """Catches far and near swapped, and a blend that is not linear."""
     c = ServoConfig()
     r_O, r_G = np.array([0.4, 0, 0]), np.array([0, 0.2, 0])
     assert np.allclose(blend_rotation(0.25, r_O, r_G, c), r_O)
@@ -415,12 +455,14 @@ def test_orientation_blends_from_object_to_grasp() -> None:
 
 
 def test_look_at_turns_the_optical_axis_to_the_target() -> None:
+    """Catches another camera axis than z, and a rotation in the wrong direction."""
     r = look_at_rotation(at(), np.array([1.0, 0, 1.0]))
     assert np.allclose(Rotation.from_rotvec(r).apply([0, 0, 1]), np.array([1, 0, 1]) / np.sqrt(2))
     assert np.allclose(look_at_rotation(at(), np.array([0, 0, 2.0])), 0)
 
 
 def test_execution_threshold_is_strict() -> None:
+    """Catches >= instead of >, and an execution without a score."""
     c = ExecutionConfig()
     assert execute(0.7, c, None, np.eye(4)) is False
     assert execute(0.71, c, None, np.eye(4)) is True
@@ -428,13 +470,15 @@ def test_execution_threshold_is_strict() -> None:
 
 
 def test_latency_delays_by_whole_frames() -> None:
+    """Catches a result that is usable before its latency has passed."""
     delayed: Delayed[int] = Delayed(0.05)
-    got = [delayed.step(round(k / 30 * 1e9), k) for k in range(5)]
-    assert [g[1] if g else None for g in got] == [None, None, 0, 1, 2]
+    usable = [delayed.step(round(k / 30 * 1e9), k) for k in range(5)]
+    assert [u[1] if u else None for u in usable] == [None, None, 0, 1, 2]
     assert Delayed(0.0).step(0, 7) == (0, 7)
 
 
 def test_pose_helper_is_right_handed() -> None:
+    """Catches a matrix of a pose that is a reflection."""
     assert np.linalg.det(
         matrix_from_pose(np.array([0, 0, 0, 0.1, 0.2, 0.3, 0.9]))[:3, :3]
     ) == pytest.approx(1)

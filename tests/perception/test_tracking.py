@@ -1,5 +1,8 @@
-"""Tracking and fusion on rendered frames with exact truth. Catches: a hand fused into the target, drift, a track that
-outlives its target, a pose made up where there is no depth, a window taken for the image."""
+"""Catches: a hand fused into the target, drift, a track that goes on after its target has left.
+
+Also a pose without depth, and a window's coordinates taken for the image's. Tracking and fusion run
+on rendered frames with exact ground truth.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +28,7 @@ PERIOD_NS = 33_333_333
 
 
 def at(x: float, y: float, z: float, yaw: float = 0.0) -> np.ndarray:
+    """Pose (4, 4) with a position m and a yaw rad."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec([0, 0, yaw]).as_matrix()
     T[:3, 3] = (x, y, z)
@@ -41,6 +45,7 @@ T_BASE_CAMERA = at(0, 0, 0.6) @ np.vstack(
 
 
 def world(seed: int = 0) -> tuple[Scene, Box]:
+    """A speckled table and a printed box."""
     rng = np.random.default_rng(seed)
     return Scene(speckle(rng, (120, 110, 100), 14)), Box(
         HALF, [printed(rng, (60, 110, 170)) for _ in range(6)]
@@ -50,7 +55,11 @@ def world(seed: int = 0) -> tuple[Scene, Box]:
 def make(
     n: int, path: Any, hand: Any = None, no_depth: Any = lambda k: False
 ) -> tuple[list[Frame], list[tuple[float, ...]]]:
-    """Frames of a box that follows `path(k)` (T_base_object) under a resting camera, and its true visible boxes."""
+    """Frames of a box under a resting camera, and its true visible boxes px.
+
+    path(k): T_base_object in frame k. hand(k): T_base_finger, or None for no finger. no_depth(k):
+    whether the box has no depth.
+    """
     rng = np.random.default_rng(1)
     scene, box = world()
     frames, boxes = [], []
@@ -89,6 +98,7 @@ def run(frames: list[Frame], box: tuple[float, ...], *settings: str) -> list[Ste
 
 
 def slide(k: int) -> np.ndarray:
+    """T_base_object (4, 4) in frame k: 4 mm and 0.01 rad a frame."""
     return at(-0.08 + 0.004 * k, -0.2, HALF[2], 0.4 + 0.01 * k)
 
 
@@ -99,18 +109,25 @@ def sliding() -> tuple[list[Frame], list[tuple[float, ...]], list[Step]]:
 
 
 def test_pose_follows_a_sliding_and_turning_box(sliding: Any) -> None:
+    """Catches a pose that drifts against the box's true pose."""
     _, _, steps = sliding
-    off = []
+    T_model_objects = []
     for k, step in enumerate(steps):
         assert step.T_camera_model is not None
         T_model_object = invert(step.T_camera_model) @ invert(T_BASE_CAMERA) @ slide(k)
-        off.append(T_model_object)
-    middle = off[15]
-    assert np.median([np.linalg.norm(T[:3, 3] - middle[:3, 3]) for T in off]) < 0.0015
-    assert np.degrees(np.median([rotation_angle(middle[:3, :3].T @ T[:3, :3]) for T in off])) < 1.2
+        T_model_objects.append(T_model_object)
+    middle = T_model_objects[15]
+    assert np.median([np.linalg.norm(T[:3, 3] - middle[:3, 3]) for T in T_model_objects]) < 0.0015
+    assert (
+        np.degrees(
+            np.median([rotation_angle(middle[:3, :3].T @ T[:3, :3]) for T in T_model_objects])
+        )
+        < 1.2
+    )
 
 
 def test_boxes_are_those_of_the_target(sliding: Any) -> None:
+    """Catches boxes of another object or size: mean overlap (IoU) of at most 0.9."""
     _, boxes, steps = sliding
     overlaps = []
     for step, b in zip(steps, boxes, strict=True):
@@ -124,12 +141,14 @@ def test_boxes_are_those_of_the_target(sliding: Any) -> None:
 
 
 def test_velocity_is_the_slide(sliding: Any) -> None:
+    """Catches a velocity in the wrong frame or unit: 4 mm a frame at 30 Hz are 0.12 m/s."""
     last = sliding[2][-1].row
     assert last["velocity_x"] == pytest.approx(0.12, abs=0.02)
     assert abs(last["velocity_y"]) < 0.02
 
 
 def test_the_model_stays_the_size_of_the_box(sliding: Any) -> None:
+    """Catches a model cloud that drift or the table has made larger than the box."""
     model = sliding[2][-1].model
     assert model is not None
     T = invert(invert(sliding[2][0].T_camera_model) @ invert(T_BASE_CAMERA) @ slide(0))
@@ -138,22 +157,25 @@ def test_the_model_stays_the_size_of_the_box(sliding: Any) -> None:
 
 
 def finger(k: int) -> np.ndarray:
-    """Upright beside the box, touching it, in front of part of it for the camera."""
+    """T_base_finger (4, 4): upright, touching the box and hiding a part of it from the camera."""
     T = slide(k)
     return T @ at(0.0, HALF[1] + 0.013, 0.03)
 
 
 def share_on_finger(points_camera: np.ndarray, k: int) -> float:
-    """Share of camera points on the finger's own surface, on the side away from the box that it touches."""
+    """Share of points (n, 3) m, camera frame, on the finger's surface away from the box."""
     T = invert(finger(k)) @ T_BASE_CAMERA
     p = points_camera @ T[:3, :3].T + T[:3, 3]
     axial = np.maximum(np.abs(p[:, 2]) - 0.05, 0)
-    off = np.abs(np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + axial**2) - 0.012)
-    return float(((off < 0.003) & (p[:, 1] > -0.005)).mean())
+    distance = np.abs(np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + axial**2) - 0.012)
+    return float(((distance < 0.003) & (p[:, 1] > -0.005)).mean())
 
 
 def test_a_touching_finger_is_not_part_of_the_target() -> None:
-    """In the first frame's mask, and in the model after some frames; without its geometry it would be."""
+    """Catches a finger in the first frame's mask or in the model after some frames.
+
+    Without the finger's geometry it is a part of both.
+    """
     frames, boxes = make(8, slide, hand=finger)
     x0, y0, x1, y1 = boxes[0]
     box = (x0 - 4, y0 - 4, x1 + 4, y1 + 12)
@@ -175,6 +197,7 @@ def test_a_touching_finger_is_not_part_of_the_target() -> None:
 
 
 def test_a_box_that_leaves_is_lost_and_stays_lost() -> None:
+    """Catches a track that goes on, or comes back, after the box has left the image."""
     frames, boxes = make(26, lambda k: at(0.05 + 0.016 * k, -0.2, HALF[2]))
     states = [s.row["tracking"] for s in run(frames, boxes[0])]
     assert states[:8] == ["tracked"] * 8
@@ -183,6 +206,7 @@ def test_a_box_that_leaves_is_lost_and_stays_lost() -> None:
 
 
 def test_without_depth_the_box_is_followed_and_no_pose_is_made_up() -> None:
+    """Catches a box that is lost without depth, and a pose or velocity given nevertheless."""
     frames, boxes = make(14, slide, no_depth=lambda k: True)
     steps = run(frames, boxes[0])
     assert all(s.row["tracking"] == "tracked" for s in steps)
@@ -191,6 +215,7 @@ def test_without_depth_the_box_is_followed_and_no_pose_is_made_up() -> None:
 
 
 def test_a_gap_in_the_frames_is_bridged_by_the_velocity() -> None:
+    """Catches a prediction that does not use the elapsed time: ten frames are missing."""
     frames, boxes = make(30, slide)
     steps = run([f for f in frames if not 12 <= f.index < 22], boxes[0])
     after = steps[12]

@@ -16,7 +16,7 @@ from dgeval.perception.types import Tracked
 
 
 class CsrtTracker:
-    """CSRT gives the box; plane, hand and depth steps inside it give the mask. It has no pose of its own."""
+    """CSRT gives the box; plane, hand and depth steps in it give the mask. It has no pose."""
 
     def __init__(self, config: Config) -> None:
         self.config = config
@@ -27,6 +27,7 @@ class CsrtTracker:
         self._box: tuple[float, float, float, float] | None = None
 
     def step(self, given: TrackingInput) -> Tracked:
+        """The target's box and mask in one frame."""
         frame = given.frame
         colour = np.ascontiguousarray(frame.colour[:, :, ::-1])
         if given.box is not None:
@@ -37,8 +38,8 @@ class CsrtTracker:
         elif self._tracker is None:
             return Tracked("not_started")
         else:
-            found, (x, y, w, h) = self._tracker.update(colour)
-            self._box = (float(x), float(y), float(x + w), float(y + h)) if found else None
+            success, (x, y, w, h) = self._tracker.update(colour)
+            self._box = (float(x), float(y), float(x + w), float(y + h)) if success else None
         if self._box is None:
             return Tracked("lost")
         inside = (
@@ -47,9 +48,9 @@ class CsrtTracker:
             min(float(frame.camera.width), self._box[2]),
             min(float(frame.camera.height), self._box[3]),
         )
-        whole = (self._box[2] - self._box[0]) * (self._box[3] - self._box[1])
-        seen = max(0.0, inside[2] - inside[0]) * max(0.0, inside[3] - inside[1])
-        if whole <= 0 or seen / whole < self.config.tracking.min_visible:
+        area = (self._box[2] - self._box[0]) * (self._box[3] - self._box[1])
+        visible_area = max(0.0, inside[2] - inside[0]) * max(0.0, inside[3] - inside[1])
+        if area <= 0 or visible_area / area < self.config.tracking.min_visible:
             return Tracked("lost")
         window = segmentation.grow(self._box, 0.5, 10, frame.camera)
         depth = frame.depth[window[1] : window[3], window[0] : window[2]]

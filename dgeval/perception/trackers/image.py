@@ -1,4 +1,4 @@
-"""Following a box in colour alone: for targets on which the camera gives no depth (too near, shiny, dark)."""
+"""Tracks a box in colour alone, for targets without depth (too near, shiny or dark)."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from dgeval.geometry import Array
 
 Grey = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
+# settings of OpenCV's pyramidal Lucas-Kanade flow; window in px
 LK: dict[str, Any] = {
     "winSize": (13, 13),
     "maxLevel": 2,
@@ -23,18 +24,22 @@ LK: dict[str, Any] = {
 
 def corners(grey: Grey, mask: NDArray[np.uint8], count: int) -> NDArray[np.float32]:
     """Up to `count` corners (n, 2) px where the mask is not zero, at least 4 px apart."""
-    found = cv2.goodFeaturesToTrack(grey, count, 0.01, 4, mask=mask, blockSize=5)
+    corner_points = cv2.goodFeaturesToTrack(grey, count, 0.01, 4, mask=mask, blockSize=5)
     return (
         np.zeros((0, 2), np.float32)
-        if found is None
-        else np.asarray(found.reshape(-1, 2), dtype=np.float32)
+        if corner_points is None
+        else np.asarray(corner_points.reshape(-1, 2), dtype=np.float32)
     )
 
 
 def follow(
     before: Grey, now: Grey, points: NDArray[np.float32], guess: NDArray[np.float32]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Lucas-Kanade from `before` to `now`, checked backwards: pixels (n, 2) and which of them came back to within 1 px."""
+    """Lucas-Kanade flow of points (n, 2) px from `before` to `now`, checked backwards.
+
+    Returns pixels (n, 2) and which of them are in the image and come back to within 1 px.
+    guess: pixels (n, 2) to start from.
+    """
     if not len(points):
         return np.zeros((0, 2)), np.zeros(0, dtype=bool)
     h, w = now.shape
@@ -56,7 +61,7 @@ def follow(
 
 
 def _same_size(a: Grey, b: Grey) -> tuple[Grey, Grey]:
-    """OpenCV's flow wants images of one size: both get a border to the right and below."""
+    """Both images with borders to the right and below, since OpenCV's flow needs equal sizes."""
     if a.shape == b.shape:
         return a, b
     h, w = max(a.shape[0], b.shape[0]), max(a.shape[1], b.shape[1])
@@ -68,9 +73,9 @@ def _same_size(a: Grey, b: Grey) -> tuple[Grey, Grey]:
 
 
 def similarity(a: Array, b: Array) -> tuple[Array, NDArray[np.bool_]] | None:
-    """Robust similarity (2, 3) from points a to b (n, 2) and its inliers; None without agreement.
+    """Robust similarity (2, 3) from points a to b (n, 2) px and its inliers (n,), or None.
 
-    OpenCV's RANSAC draws from a generator with a fixed seed, so equal input gives equal output.
+    None without agreement. OpenCV's RANSAC has a fixed seed, so equal input gives equal output.
     """
     if len(a) < 3:
         return None
@@ -83,7 +88,7 @@ def similarity(a: Array, b: Array) -> tuple[Array, NDArray[np.bool_]] | None:
 
 
 class ImageTrack:
-    """A box carried by the features inside it: frame to frame, then corrected against the frame it was given in."""
+    """A box moved by the features in it: from frame to frame, then corrected by the first frame."""
 
     def __init__(self, grey: Grey, box: Box, config: TrackingConfig) -> None:
         self.config = config
@@ -95,7 +100,7 @@ class ImageTrack:
         self._M = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # first frame -> now
 
     def _ellipse(self, grey: Grey, box: Box) -> NDArray[np.uint8]:
-        """The corners of a box rarely show the target: only its inscribed ellipse is trusted."""
+        """Mask of the box's inscribed ellipse: the corners of a box rarely show the target."""
         mask = np.zeros(grey.shape, np.uint8)
         centre = (round((box[0] + box[2]) / 2), round((box[1] + box[3]) / 2))
         axes = (max(1, round((box[2] - box[0]) / 2)), max(1, round((box[3] - box[1]) / 2)))
@@ -103,19 +108,21 @@ class ImageTrack:
         return mask
 
     def step(self, grey: Grey) -> float:
-        """Move the box to this frame; returns the number of features that agree (0: lost)."""
+        """Move the box to this frame; return the number of features that agree (0: lost)."""
         now_points = corners(
             self._previous, self._ellipse(self._previous, self.box), self.config.corners
         )
         there, good = follow(self._previous, grey, now_points, now_points)
-        found = similarity(now_points[good].astype(np.float64), there[good])
-        if found is None or found[1].sum() < self.config.min_corners:
+        motion = similarity(now_points[good].astype(np.float64), there[good])
+        if motion is None or motion[1].sum() < self.config.min_corners:
             self._previous = grey
             return 0.0
-        step = np.vstack([found[0], [0, 0, 1]])
+        step = np.vstack([motion[0], [0, 0, 1]])
         M = (step @ np.vstack([self._M, [0, 0, 1]]))[:2]
-        agree = float(found[1].sum())
-        # the first frame is the only one whose box is known: what drifted since is taken back where it still matches
+        agree = float(motion[1].sum())
+        # only the first frame's box is known: where the image still matches it, the drift since
+        # then
+        # is corrected
         guess = self._first_points @ M[:, :2].T.astype(np.float32) + M[:, 2].astype(np.float32)
         there, good = follow(self._first, grey, self._first_points, guess)
         good &= np.linalg.norm(there - guess, axis=1) < 6.0
@@ -131,7 +138,7 @@ class ImageTrack:
 
 
 def carried(box: Box, M: Array) -> Box:
-    """A box under a similarity, kept upright: its centre moves, its size scales."""
+    """A box px under a similarity M (2, 3), kept upright: its centre moves, its size scales."""
     centre = M[:, :2] @ np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]) + M[:, 2]
     scale = float(np.sqrt(abs(np.linalg.det(M[:, :2]))))
     half = np.array([box[2] - box[0], box[3] - box[1]]) * scale / 2

@@ -1,7 +1,7 @@
-"""The `model` tracker: the model cloud projected with the predicted pose, refined by depth and colour.
+"""The `model` tracker: projects the model cloud at the predicted pose and aligns it to the image.
 
-Goes beyond the paper's image tracker by what RGB-D allows; where the target gives no depth it follows the box in colour
-and says nothing about its pose.
+It goes beyond the paper's image tracker, as RGB-D allows. Where the target has no depth, it tracks
+the box in colour and gives no pose.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from dgeval.perception.types import Features, Model, Tracked, Window
 from dgeval.recording.frame import Frame
 
 Box = tuple[float, float, float, float]
-MAX_KEYFRAMES = 12
-GROWTH_PX = 6
-RIM_FRAMES = 15
-RIM_SHARE = 0.05  # of the box; a larger difference is not the rim's doing
-RIM_ANGLE = 0.12  # rad; beyond this turn of the view other parts of the target make its outline
-BASE_HEIGHT = 0.012  # m; model points this low over the plane stand on it
-MIN_COVER, MIN_FILL = (
-    0.5,
-    0.2,
-)  # of the box, by extent and by area of what has depth in it, before a model is begun
+MAX_KEYFRAMES = 12  # keyframes that are kept
+GROWTH_PX = 6  # px beyond the model's silhouette in which new parts of the target are accepted
+RIM_FRAMES = 15  # accepted frames at the start in which the rim is measured
+RIM_SHARE = 0.05  # of the box's size; a larger difference does not come from the rim
+RIM_ANGLE = 0.12  # rad; after a larger rotation other parts of the target make its outline
+BASE_HEIGHT = 0.012  # m; model points lower than this above the plane belong to the target's base
+# a model is started if the pixels with depth cover at least these shares of the box: by the overlap
+# of their extent with it, and by area
+MIN_COVER, MIN_FILL = 0.5, 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingInput:
-    """One frame, the box if it is given in this frame, and what the later stages made of the frames before.
+    """One frame, its box px if one is given, and the later stages' results of the previous frames.
 
-    `model` None until there is one; `T_predicted` T_camera_model at this frame from the estimator; `T_previous` the pose
-    the previous frame ended with, `accepted` whether it came from an accepted registration.
+    model: None until there is one. T_predicted: T_camera_model in this frame, from the estimator.
+    T_previous: final T_camera_model of the previous frame; accepted: whether it is that of an
+    accepted registration.
     """
 
     frame: Frame
@@ -53,7 +53,11 @@ class TrackingInput:
 
 @dataclass(frozen=True)
 class _Keyframe:
-    """Features with their model points, in a crop of the image they were found in."""
+    """Features of one frame with their model points.
+
+    crop: part of the image, origin: its upper left corner px. pixels (n, 2) px in the crop, points
+    (n, 3) m and their mean `centre`, model frame. distance: m, depth of the centre.
+    """
 
     crop: Grey
     origin: tuple[int, int]
@@ -65,8 +69,8 @@ class _Keyframe:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """What a frame leaves behind for a keyframe, until its final pose is known."""
+class _LastFrame:
+    """The data of a frame that a keyframe needs, kept until the frame's final pose is known."""
 
     grey: Grey
     window: Window
@@ -75,15 +79,15 @@ class _Seen:
 
 
 @dataclass(frozen=True)
-class _Begun:
-    """The box and plane of the frame in which the model began."""
+class _ModelStart:
+    """Box px and plane of the frame in which the model was started."""
 
     box: Box
     plane: Plane | None
 
 
 class ModelTracker:
-    """See the module's text. Deterministic: draws are keyed by the frame index."""
+    """The tracker of this module. Deterministic: draws are keyed by the frame index."""
 
     def __init__(self, config: Config) -> None:
         self.config = config
@@ -91,16 +95,17 @@ class ModelTracker:
 
     def reset(self) -> None:
         self._keyframes: list[_Keyframe] = []
-        self._seen: _Seen | None = None
+        self._last_frame: _LastFrame | None = None
         self._image: ImageTrack | None = None
         self._lost_since: int | None = None
         self._started = False
-        self._begun: _Begun | None = None
+        self._model_start: _ModelStart | None = None
         self._n_accepted = 0
         self._rim: tuple[Array, float] | None = None
         self._plane_model: Plane | None = None
 
     def step(self, given: TrackingInput) -> Tracked:
+        """The target's box, mask, pose and features in the next frame."""
         frame = given.frame
         grey = np.asarray(cv2.cvtColor(frame.colour, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         if given.box is not None:
@@ -122,24 +127,27 @@ class ModelTracker:
         return tracked
 
     def look(self, frame: Frame, model: Model, T_camera_model: Array) -> Tracked:
-        """The model in any frame, from any pose, with the keyframes kept so far; the tracker's own course is not changed."""
+        """Track the model in any frame from any pose, with the keyframes kept so far.
+
+        The tracker's own state is not changed.
+        """
         lost, self._lost_since = self._lost_since, None
-        seen, plane = self._seen, self._plane_model
+        last_frame, plane = self._last_frame, self._plane_model
         grey = np.asarray(cv2.cvtColor(frame.colour, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         tracked = self._follow_model(frame, grey, model, T_camera_model)
-        self._lost_since, self._seen, self._plane_model = lost, seen, plane
+        self._lost_since, self._last_frame, self._plane_model = lost, last_frame, plane
         return tracked
 
     # the first frame
 
     def _start(self, frame: Frame, grey: Grey, box: Box) -> Tracked:
-        found = self._segment_box(frame, box)
-        if found is None:
+        segmented = self._segment_box(frame, box)
+        if segmented is None:
             self._image = ImageTrack(grey, box, self.config.tracking)
             return Tracked("tracked", self._inside(box, frame.camera), mask_area=0)
-        window, mask, plane, depth = found
-        self._seen = _Seen(grey, window, mask, depth)
-        self._begun = _Begun(box, plane)
+        window, mask, plane, depth = segmented
+        self._last_frame = _LastFrame(grey, window, mask, depth)
+        self._model_start = _ModelStart(box, plane)
         return Tracked(
             "tracked", self._inside(box, frame.camera), window, mask, int(mask.sum()), plane=plane
         )
@@ -157,13 +165,13 @@ class ModelTracker:
         area = (box[2] - box[0]) * (box[3] - box[1])
         filled = int((segmentation.fill(mask.astype(np.float32), 5) > 0).sum())
         if _overlap(_extent(mask, window), box) < MIN_COVER or filled < MIN_FILL * area:
-            return None  # a patch of depth in the box is not the thing the box holds
+            return None  # a patch of depth in the box is not the object in it
         return window, mask, plane, depth
 
     def _free(
         self, frame: Frame, window: Window, inner: Box
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_], Plane | None]:
-        """Depth of a window, the pixels that are neither hand nor plane, and the plane."""
+        """Depth m of a window, its pixels that are neither hand nor plane, and the plane."""
         depth = frame.depth[window[1] : window[3], window[0] : window[2]]
         hand = np.zeros(depth.shape, dtype=bool)
         if frame.hand is not None:
@@ -186,18 +194,18 @@ class ModelTracker:
     # colour alone
 
     def _follow_image(self, frame: Frame, grey: Grey) -> Tracked:
-        """No model yet: the box in colour, and a model as soon as the box holds enough depth."""
+        """Without a model: track the box in colour, and start a model when it has enough depth."""
         if self._image is None:
             return Tracked("lost")
         box = self._image_box(frame, grey)
         if box is None:
             return Tracked("lost")
-        found = self._segment_box(frame, self._image.box)
-        if found is None:
+        segmented = self._segment_box(frame, self._image.box)
+        if segmented is None:
             return Tracked("tracked", box)
-        window, mask, plane, depth = found
-        self._seen = _Seen(grey, window, mask, depth)
-        self._begun = _Begun(self._image.box, plane)
+        window, mask, plane, depth = segmented
+        self._last_frame = _LastFrame(grey, window, mask, depth)
+        self._model_start = _ModelStart(self._image.box, plane)
         self._image = None
         return Tracked("tracked", box, window, mask, int(mask.sum()), plane=plane)
 
@@ -225,7 +233,7 @@ class ModelTracker:
         window = segmentation.grow(guess, 0.3, 12, frame.camera)
         depth, free, plane = self._free(frame, window, guess)
         if plane is None and self._plane_model is not None:
-            # near the target too little of what it stands on has depth to find the plane anew
+            # too little of the surface near the target has depth to fit the plane again
             plane = self._plane_model.moved(T_predicted)
             depth, free = self._crop(frame, window, plane)
         features = self._follow_features(grey, window, T_predicted, frame.camera)
@@ -241,7 +249,7 @@ class ModelTracker:
             and n_features < c.min_corners
             and len(features.points) >= 12
         ):
-            by_depth = False  # something of the right shape that does not look like the target
+            by_depth = False  # the shape is right, but it does not look like the target
         if not by_depth and not by_colour:
             return Tracked("lost", plane=plane)
         box = self._with_rim(projected_box(model.points, T, frame.camera, plane), model, T)
@@ -251,7 +259,7 @@ class ModelTracker:
         window = segmentation.grow(box, 0.15, 8, frame.camera)
         depth, free = self._crop(frame, window, plane)
         mask = segmentation.segment_model(depth, window, free, points, frame.camera, GROWTH_PX)
-        self._seen = _Seen(grey, window, mask, depth)
+        self._last_frame = _LastFrame(grey, window, mask, depth)
         if plane is not None:
             self._plane_model = plane.moved(invert(T))
         inside = self._inside(box, frame.camera)
@@ -260,7 +268,7 @@ class ModelTracker:
     def _crop(
         self, frame: Frame, window: Window, plane: Plane | None
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """As `_free`, with the plane already known."""
+        """As `_free`, with a known plane."""
         depth = frame.depth[window[1] : window[3], window[0] : window[2]]
         free = segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane)
         if frame.hand is not None:
@@ -280,7 +288,11 @@ class ModelTracker:
         T: Array,
         camera: Intrinsics,
     ) -> tuple[Array, float, int, int]:
-        """T_camera_model refined; share of model points with agreeing depth, their number, features that agree."""
+        """T_camera_model refined, and how well it fits.
+
+        Also returns the share of compared model points whose depth agrees, the number of compared
+        points, and the number of features that agree.
+        """
         c = self.config.tracking
         step = max(1, len(model.points) // c.align_points)
         points, normals = model.points[::step], model.normals[::step]
@@ -304,8 +316,10 @@ class ModelTracker:
             valid = free[uv[:, 1], uv[:, 0]]
             p, n, uv = p[valid], n[valid], uv[valid]
             z = depth[uv[:, 1], uv[:, 0]].astype(np.float64)
-            seen = camera.backproject(uv[:, 0] + float(window[0]), uv[:, 1] + float(window[1]), z)
-            H, g, used = align.depth_normal_equations(p, seen, n, depth_sigma(z), cutoff)
+            observed = camera.backproject(
+                uv[:, 0] + float(window[0]), uv[:, 1] + float(window[1]), z
+            )
+            H, g, used = align.depth_normal_equations(p, observed, n, depth_sigma(z), cutoff)
             n_depth = len(p)
             agree = float(np.mean(np.abs(p[:, 2] - z) < 0.012)) if n_depth else 0.0
             if len(features.points):
@@ -329,9 +343,9 @@ class ModelTracker:
     # features
 
     def _keep_keyframe(self, T_previous: Array, camera: Intrinsics) -> None:
-        """Make the previous frame a keyframe if no kept one sees the target from near its direction and distance."""
-        seen, self._seen = self._seen, None
-        if seen is None:
+        """Make the previous frame a keyframe if none has a similar direction and distance."""
+        last_frame, self._last_frame = self._last_frame, None
+        if last_frame is None:
             return
         nearest = self._nearest(T_previous)
         c = self.config.tracking
@@ -341,13 +355,13 @@ class ModelTracker:
             scale = max(distance / nearest.distance, nearest.distance / distance)
             if turn < c.keyframe_angle and scale < c.keyframe_scale:
                 return
-        x0, y0, x1, y1 = seen.window
-        crop = np.ascontiguousarray(seen.grey[y0:y1, x0:x1])
+        x0, y0, x1, y1 = last_frame.window
+        crop = np.ascontiguousarray(last_frame.grey[y0:y1, x0:x1])
         inner = cv2.erode(
-            segmentation.fill(seen.mask.astype(np.float32)), np.ones((5, 5), np.uint8)
+            segmentation.fill(last_frame.mask.astype(np.float32)), np.ones((5, 5), np.uint8)
         )
         pixels = corners(crop, (inner > 0).astype(np.uint8) * 255, c.corners)
-        smooth = segmentation.smoothed(seen.depth, seen.mask)
+        smooth = segmentation.smoothed(last_frame.depth, last_frame.mask)
         if len(pixels):
             at = np.rint(pixels).astype(int)
             z = smooth[
@@ -368,19 +382,19 @@ class ModelTracker:
             _Keyframe(crop, (x0, y0), pixels, points, T_previous, centre, distance)
         )
         if len(self._keyframes) > MAX_KEYFRAMES:
-            del self._keyframes[1]  # the first one carries the least drift and stays
+            del self._keyframes[1]  # the first one has the least drift and stays
 
     def _nearest(self, T: Array) -> _Keyframe | None:
-        """The kept keyframe whose view of the target is nearest in direction and distance."""
+        """The keyframe whose view of the target is nearest in direction and distance."""
         if not self._keyframes:
             return None
 
-        def unlike(k: _Keyframe) -> float:
+        def dissimilarity(k: _Keyframe) -> float:
             turn = rotation_angle(k.T_camera_model[:3, :3].T @ T[:3, :3])
             distance = float((T[:3, :3] @ k.centre + T[:3, 3])[2])
             return turn / 0.2 + abs(float(np.log(max(distance, 1e-3) / k.distance))) / 0.2
 
-        return min(self._keyframes, key=unlike)
+        return min(self._keyframes, key=dissimilarity)
 
     def _follow_features(
         self, grey: Grey, window: Window, T: Array, camera: Intrinsics
@@ -397,25 +411,26 @@ class ModelTracker:
     # boxes
 
     def _learn_rim(self, model: Model, T_previous: Array, camera: Intrinsics) -> None:
-        """By how much the given box exceeds what the model shows of it: cameras give no depth along an object's rim.
+        """Measure by how much the given box exceeds the box of the projected model.
 
-        Taken anew while the model still fills up and the view has hardly changed, then kept.
+        Cameras give no depth along an object's rim. The value is updated while the model grows and
+        the view has hardly changed, then kept.
         """
         self._n_accepted += 1
         if self._n_accepted == 1:
-            self._T_begun = T_previous
-        turn = rotation_angle(self._T_begun[:3, :3].T @ T_previous[:3, :3])
-        if self._n_accepted > RIM_FRAMES or self._begun is None or turn > RIM_ANGLE:
+            self._T_at_start = T_previous
+        turn = rotation_angle(self._T_at_start[:3, :3].T @ T_previous[:3, :3])
+        if self._n_accepted > RIM_FRAMES or self._model_start is None or turn > RIM_ANGLE:
             return
-        box = projected_box(model.points, self._T_begun, camera, self._begun.plane)
+        box = projected_box(model.points, self._T_at_start, camera, self._model_start.plane)
         if box is None:
             return
         size = np.array([box[2] - box[0], box[3] - box[1]] * 2)
         distance = float(
-            (self._T_begun[:3, :3] @ model.points.mean(axis=0) + self._T_begun[:3, 3])[2]
+            (self._T_at_start[:3, :3] @ model.points.mean(axis=0) + self._T_at_start[:3, 3])[2]
         )
         rim = np.clip(
-            np.array(self._begun.box) - np.array(box), -RIM_SHARE * size, RIM_SHARE * size
+            np.array(self._model_start.box) - np.array(box), -RIM_SHARE * size, RIM_SHARE * size
         )
         self._rim = rim, distance
 
@@ -437,7 +452,7 @@ class ModelTracker:
         )
 
     def _visible(self, box: Box, camera: Intrinsics) -> float:
-        """Share of the box's area that lies inside the image."""
+        """Share of the box's area inside the image."""
         inside = self._inside(box, camera)
         area = (box[2] - box[0]) * (box[3] - box[1])
         return (inside[2] - inside[0]) * (inside[3] - inside[1]) / area if area > 0 else 0.0
@@ -449,10 +464,10 @@ class ModelTracker:
 def projected_box(
     points: Array, T_camera_model: Array, camera: Intrinsics, plane: Plane | None
 ) -> Box | None:
-    """Extent px of the projected model without its few farthest points; None with too few in front of the camera.
+    """Box px of the projected model points (n, 3) m, without the few outermost ones, or None.
 
-    The plane's removal takes the lowest millimetres of what stands on it, so the lowest points also count where their
-    perpendiculars meet the plane.
+    None with too few points in front of the camera. The removal of the plane also removes the
+    lowest millimetres of the target, so the lowest points are also projected onto the plane.
     """
     p = transform(T_camera_model, points)
     p = p[p[:, 2] > 0.05]
@@ -472,6 +487,7 @@ def projected_box(
 
 
 def _extent(mask: NDArray[np.bool_], window: Window) -> Box:
+    """Box px, in the image, of the pixels of a window's mask."""
     v, u = np.nonzero(mask)
     return (
         float(u.min() + window[0]),
