@@ -52,7 +52,7 @@ class Arm:
     def solve(self, T_base_palm: Array, q: Array) -> Array | None:
         """Joint positions (n,) within the limits that bring the palm to a pose (4, 4), or None.
 
-        The search starts at q (n,). None means that it found none.
+        The search starts at q (n,); None if it finds no solution.
         """
         low, high = (
             np.array([getattr(j, edge) for j in self.movable]) for edge in ("lower", "upper")
