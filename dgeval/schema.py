@@ -245,6 +245,17 @@ TIMINGS: tuple[Column, ...] = (
 )
 
 
+def check_keys(row: Mapping[str, Any], columns: Sequence[Column], table: str) -> None:
+    """Refuse a row with a key that is none of the columns: KeyError, which names the key.
+
+    table: name of the table, for the message. A missing key is allowed: it is a null.
+    """
+    unknown = row.keys() - {c.name for c in columns}
+    if unknown:
+        names = ", ".join(sorted(unknown))
+        raise KeyError(f"no such column of {table}: {names}")
+
+
 class StageDigests:
     """SHA-256 per stage over its version-1 frame columns, fed row by row."""
 
@@ -255,6 +266,8 @@ class StageDigests:
         }
 
     def add(self, row: Mapping[str, Any]) -> None:
+        """Add one row of the frame table; KeyError for a key that is no column of it."""
+        check_keys(row, (*FRAMES, *FRAMES_ADDED), "frames")
         for digest in self._stages.values():
             digest.add(row)
 
@@ -275,9 +288,11 @@ def arrow_schema(columns: Sequence[Column]) -> Any:
 
 
 def arrow_table(columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> Any:
-    """A pyarrow table of the rows; a missing key is a null."""
+    """A pyarrow table of the rows; a missing key is a null, an unknown one a KeyError."""
     import pyarrow as pa
 
+    for row in rows:
+        check_keys(row, columns, "the table")
     return pa.Table.from_pylist(
         [{c.name: row.get(c.name) for c in columns} for row in rows], schema=arrow_schema(columns)
     )

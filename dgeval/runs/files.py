@@ -8,10 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 
-from dgeval.schema import (
-    arrow_schema,
-    arrow_table,
-)
+from dgeval.schema import Column, arrow_schema, arrow_table, check_keys
 
 ROWS_PER_GROUP = 500
 
@@ -24,7 +21,7 @@ def file_name(trial: str) -> str:
 class TableFile:
     """A Parquet file written in row groups, so that a long trial never lies in memory; renamed when complete."""
 
-    def __init__(self, path: Path, columns: tuple[Any, ...]) -> None:
+    def __init__(self, path: Path, columns: tuple[Column, ...]) -> None:
         self._path, self._columns = path, columns
         self._part = path.with_name(path.name + ".part")
         self._rows: list[dict[str, Any]] = []
@@ -34,6 +31,8 @@ class TableFile:
         return self
 
     def add(self, row: dict[str, Any]) -> None:
+        """Add one row; KeyError for a key that is no column, so that no row group is lost to it."""
+        check_keys(row, self._columns, self._path.name)
         self._rows.append(row)
         if len(self._rows) >= ROWS_PER_GROUP:
             self._flush()
