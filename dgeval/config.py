@@ -111,7 +111,7 @@ class PlaneConfig(Section):
 
 
 class TrackingConfig(Section):
-    method: Literal["model", "csrt"] = "model"
+    method: str = "model"
     corners: int = Field(200, ge=8, description="image features followed on the target")
     keyframe_angle: float = Field(
         0.20, gt=0, description="rad; a new keyframe when the view has turned by this much"

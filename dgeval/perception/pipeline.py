@@ -15,15 +15,11 @@ from dgeval.perception.estimation import Estimate, VelocityFilter
 from dgeval.perception.fusion import Fusion
 from dgeval.perception.observation import observe
 from dgeval.perception.registration import gate, register
-from dgeval.perception.trackers.csrt import CsrtTracker
-from dgeval.perception.trackers.model import ModelTracker, TrackingInput
+from dgeval.perception.trackers import tracker_named
+from dgeval.perception.trackers.model import TrackingInput
 from dgeval.perception.types import Model, Observation, Registration, Tracked
 from dgeval.recording.frame import Frame
 
-TRACKERS: dict[str, type[ModelTracker] | type[CsrtTracker]] = {
-    "model": ModelTracker,
-    "csrt": CsrtTracker,
-}
 POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
 Box = tuple[float, float, float, float]
 
@@ -49,7 +45,7 @@ class Perception:
     velocity: VelocityFilter = field(init=False)
 
     def __post_init__(self) -> None:
-        self.tracker = TRACKERS[self.config.tracking.method](self.config)
+        self.tracker = tracker_named(self.config.tracking.method).TRACKER(self.config)
         self.fusion = Fusion(self.config.fusion)
         self.velocity = VelocityFilter(self.config.estimation)
         self.T_camera_model: Array | None = None

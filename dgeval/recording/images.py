@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dgeval.recording.image_codecs import CODECS
+from dgeval.recording.image_codecs import codecs
 from dgeval.recording.image_codecs.pixels import Pixels
 
 TO_RGB = {
@@ -20,7 +20,7 @@ DEPTH_ENCODINGS = frozenset({"16UC1", "mono16", "Z16", "32FC1"})
 
 def decode_image(message: Any) -> Pixels:
     """Pixels of any supported image message; ValueError names what is wrong."""
-    for codec in CODECS:
+    for codec in codecs():
         if codec.accepts(message):
             pixels: Pixels = codec.decode(message)
             return pixels

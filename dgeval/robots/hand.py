@@ -6,17 +6,15 @@ module attribute `HAND`. Nothing outside this folder knows a finger's name or ho
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from dgeval.geometry import Array
+from dgeval.plugins import modules_with
 
 if TYPE_CHECKING:
     import mujoco
@@ -102,16 +100,8 @@ class Hand:
 @cache
 def hands() -> tuple[Hand, ...]:
     """All hands, by name: the files of this folder, and those of installed packages."""
-    import dgeval.robots
-
-    found: dict[str, Hand] = {}
-    for module in pkgutil.iter_modules(dgeval.robots.__path__):
-        hand = getattr(importlib.import_module(f"dgeval.robots.{module.name}"), "HAND", None)
-        if isinstance(hand, Hand):
-            found[hand.name] = hand
-    for entry in entry_points(group=ENTRY_POINTS):
-        hand = entry.load()
-        found[hand.name] = hand
+    modules = modules_with("dgeval.robots", "HAND", ENTRY_POINTS)
+    found: dict[str, Hand] = {module.HAND.name: module.HAND for module in modules}
     return tuple(found[name] for name in sorted(found))
 
 

@@ -23,6 +23,7 @@ from dgeval.geometry import Array
 from dgeval.hindsight.second_pass import Hindsight, look_back
 from dgeval.hindsight.surface import Seen, Surface, seen_of
 from dgeval.perception.pipeline import Perception, pose_columns
+from dgeval.perception.trackers import tracker_named
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
@@ -243,8 +244,9 @@ def _trial_row(
         notes.append(f"{trial.n_undecodable_frames} frames could not be decoded")
     if self_filter == "none":
         notes.append("self_filter: none, no robot description")
-    stand_in = {"model": "model tracker", "csrt": "CSRT"}[config.tracking.method]
-    notes.append(f"stand-in: {stand_in} in place of TransT-M")
+    stand_in = tracker_named(config.tracking.method).STAND_IN
+    if stand_in is not None:
+        notes.append(f"stand-in: {stand_in} in place of TransT-M")
     source = "vfas" if config.pipeline == "vfas" else grasp_source(trial, config.grasps)
     if source == "vfas":
         notes += vfas_notes(config, recorded_seed(trial) is not None)

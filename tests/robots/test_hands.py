@@ -11,6 +11,7 @@ from types import ModuleType
 import mujoco
 import numpy as np
 import pytest
+from dgeval import plugins
 from dgeval.robots import hand as interface
 from dgeval.robots.description import load_description
 from dgeval.robots.hand import Hand, hand_named, hand_of, hands
@@ -126,10 +127,12 @@ def test_a_third_hand_comes_from_an_entry_point(monkeypatch: pytest.MonkeyPatch)
     exec(THIRD, module.__dict__)
 
     class Entry:
-        def load(self) -> Hand:
-            return module.HAND  # type: ignore[no-any-return]
+        name = "claw"
 
-    monkeypatch.setattr(interface, "entry_points", lambda group: [Entry()])
+        def load(self) -> ModuleType:
+            return module
+
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [Entry()])
     assert hand_named("claw").drives == ("claw_left", "claw_right")
 
 

@@ -72,3 +72,6 @@ class CsrtTracker:
         )
         mask = segmentation.segment_box(depth, window, free, self._box)
         return Tracked("tracked", inside, window, mask, int(mask.sum()), plane=plane)
+
+
+METHOD, STAND_IN, TRACKER = "csrt", "CSRT", CsrtTracker

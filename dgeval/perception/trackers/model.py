@@ -505,3 +505,6 @@ def _overlap(a: Box, b: Box) -> float:
         return 0.0
     both = w * h
     return both / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - both)
+
+
+METHOD, STAND_IN, TRACKER = "model", "model tracker", ModelTracker

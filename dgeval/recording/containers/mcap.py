@@ -24,7 +24,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
 from dgeval.recording.containers.container import MCAP_MAGIC, RawMessage, Topic
-from dgeval.recording.encodings import DECODERS
+from dgeval.recording.encodings import decoders
 
 FOOTER_LENGTH = 1 + 8 + 20
 MAX_CHUNK_BYTES = 1 << 30
@@ -168,7 +168,7 @@ class McapContainer:
         if "/" in name and "/msg/" not in name:
             name = name.replace("/", "/msg/", 1)
         key = (channel.message_encoding, schema.encoding if schema else "")
-        make = DECODERS.get(key)
+        make = decoders().get(key)
         decode: Callable[[bytes], Any] | None = None
         if make is not None and schema is not None:
             try:

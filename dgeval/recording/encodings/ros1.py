@@ -8,6 +8,8 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+ENCODES = ("ros1", "ros1msg")  # message encoding, schema encoding
+
 
 def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
     """A function that turns the bytes of one message into an object with its fields."""

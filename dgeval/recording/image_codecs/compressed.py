@@ -13,6 +13,9 @@ JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 PNG_START = b"\x89PNG\r\n\x1a\n"
 
 
+ORDER = 30  # kinds with a lower number are asked first
+
+
 def accepts(message: Any) -> bool:
     return hasattr(message, "format") and "compresseddepth" not in message.format.lower()
 

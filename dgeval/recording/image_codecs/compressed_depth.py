@@ -18,6 +18,9 @@ from dgeval.recording.image_codecs.pixels import Pixels
 HEADER_BYTES = 12
 
 
+ORDER = 20  # kinds with a lower number are asked first
+
+
 def accepts(message: Any) -> bool:
     return hasattr(message, "format") and "compresseddepth" in message.format.lower()
 

@@ -15,6 +15,9 @@ LAYOUTS = {
 }  # fmt: skip
 
 
+ORDER = 10  # kinds with a lower number are asked first
+
+
 def accepts(message: Any) -> bool:
     return hasattr(message, "encoding") and hasattr(message, "step")
 
