@@ -1,4 +1,4 @@
-"""Catches: a hand that lacks what dgeval asks of it, and code outside robots/ that names one."""
+"""Catches: a hand that lacks what dgeval asks of it; code outside robots/ with a finger's name."""
 
 from __future__ import annotations
 
