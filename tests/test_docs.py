@@ -6,6 +6,8 @@ import runpy
 import tomllib
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -42,3 +44,14 @@ def test_every_dependency_is_pinned_for_ci() -> None:
             requirement.split(";")[0].split(">")[0].split("=")[0].strip().lower().replace("_", "-")
         )
         assert name in pins or name == "open3d", name
+
+
+def test_the_example_of_the_api_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches a page that names what is not there."""
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    code = page.split("```python\n")[1].split("```")[0]
+    monkeypatch.chdir(ROOT)
+    exec(compile(code, "docs/api.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("success ")

@@ -1,8 +1,9 @@
-"""Hands and arms: solids, joints, how a hand closes, where it holds things; robot descriptions as data."""
+"""Hands and arms: their solids, joints, closing motion and frames; robot descriptions as data."""
 
 import os
 import sys
 
 if sys.platform == "linux":
-    # drawing without a display; read when mujoco is first imported, so here. A user's own choice stands.
+    # Drawing without a display. MuJoCo reads the variable when it is first imported, so it is set
+    # here. A value that the user has set stays.
     os.environ.setdefault("MUJOCO_GL", "egl")

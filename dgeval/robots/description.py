@@ -1,4 +1,4 @@
-"""A robot from its URDF: joint edges for the tf tree, and the hand's shapes for the self-filter."""
+"""A robot from its URDF: joints for the tf tree, and the hand's shapes for the self-filter."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class LinkShape:
-    """One solid of a link. `size`: box half lengths; capsule and cylinder (radius, half length along z); sphere (radius,).
+    """One solid of a link.
 
-    `hull` holds the planes of a mesh's convex hull, rows n_x n_y n_z d with n·p + d <= 0 inside.
+    size, m: box half lengths; capsule and cylinder (radius, half length along z); sphere (radius,).
+    hull: planes of a mesh's convex hull, rows n_x n_y n_z d with n·p + d <= 0 inside. bound, m: no
+    point of the solid is further from the shape's origin.
     """
 
     link: str
@@ -34,7 +36,11 @@ class LinkShape:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """A URDF joint: T_parent_child = origin · motion(q · multiplier + offset of the joint it follows). Limits in rad or m."""
+    """A URDF joint.
+
+    T_parent_child = origin · motion(q · multiplier + offset), with q the position of the joint that
+    it follows. Limits in rad or m.
+    """
 
     name: str
     parent: str
@@ -61,7 +67,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Description:
-    """Joints by child link, shapes by link, and what had to be made up."""
+    """Joints by child link, shapes by link, and notes on what the URDF does not give."""
 
     joints: dict[str, Joint]
     shapes: dict[str, list[LinkShape]]
@@ -78,7 +84,9 @@ class Description:
 
 
 def _limits(joint: Any) -> tuple[float, float]:
-    """Lower and upper of a joint with limits that leave it room; none else."""
+    """Lower and upper limit, rad or m, of a joint that has a range; else
+    infinity, minus and plus.
+    """
     limit = joint.limit
     if (
         joint.type == "continuous"
@@ -94,7 +102,12 @@ def _limits(joint: Any) -> tuple[float, float]:
 def load_description(
     text: str, source: str, mesh_dirs: tuple[str, ...], radius: float
 ) -> Description:
-    """Parse URDF text. Links whose meshes are missing get capsules from joint to joint of the given radius, m."""
+    """Parse URDF text.
+
+    Links whose meshes are missing get capsules from joint to joint of the given radius, m. source:
+    where the text comes from, for messages. UsageError if the text is not a URDF or holds numbers
+    that are not finite.
+    """
     import yourdfpy
 
     try:
@@ -136,26 +149,30 @@ def load_description(
                 Place(source),
             )
     shapes = {}
-    made_up = []
+    substituted = []
     for link in robot.robot.links:
-        found, missing = _shapes_of(link, mesh_dirs)
-        if missing and not found:
-            found = _capsules(link.name, joints, radius)
-            made_up.append(link.name)
-        if not all(np.isfinite(s.T_link_shape).all() and np.isfinite(s.bound) for s in found):
+        link_shapes, missing = _shapes_of(link, mesh_dirs)
+        if missing and not link_shapes:
+            link_shapes = _capsules(link.name, joints, radius)
+            substituted.append(link.name)
+        if not all(np.isfinite(s.T_link_shape).all() and np.isfinite(s.bound) for s in link_shapes):
             raise UsageError(
                 f"link {link.name} of the robot description has numbers that are none",
                 Place(source),
             )
-        shapes[link.name] = found
-    if made_up:
+        shapes[link.name] = link_shapes
+    if substituted:
         notes.append(
-            f"meshes not found, capsules from joint origins stand in: {', '.join(sorted(made_up))}"
+            "meshes not found, capsules from joint origins stand in: "
+            f"{', '.join(sorted(substituted))}"
         )
     return Description(joints, shapes, notes)
 
 
 def _shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[LinkShape], bool]:
+    """Shapes of a link, and whether a mesh of it is missing; the visuals where it has no
+    collisions.
+    """
     out: list[LinkShape] = []
     missing = False
     for element in link.collisions or link.visuals:
@@ -183,7 +200,10 @@ def _shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Li
 
 
 def _mesh_hull(mesh: Any, mesh_dirs: tuple[str, ...]) -> tuple[Array, float] | None:
-    """Planes (n, 4) of a mesh's convex hull and its largest distance from the origin; None if the file is not there."""
+    """Planes (n, 4) of a mesh's convex hull and its largest distance from the origin, m.
+
+    None if the mesh's file is not there.
+    """
     import trimesh
     from scipy.spatial import ConvexHull
 
@@ -202,7 +222,10 @@ def _mesh_hull(mesh: Any, mesh_dirs: tuple[str, ...]) -> tuple[Array, float] | N
 
 
 def _capsules(link: str, joints: dict[str, Joint], radius: float) -> list[LinkShape]:
-    """A capsule from the link's origin to the origin of each joint that hangs from it; a sphere at the end of a chain."""
+    """Capsules from the link's origin to the origin of each joint below it.
+
+    A sphere for the last link of a chain. radius in m.
+    """
     out = []
     for joint in sorted((j for j in joints.values() if j.parent == link), key=lambda j: j.name):
         end = joint.origin[:3, 3]

@@ -1,4 +1,7 @@
-"""The seven-joint arm: the kinematics of the Diana 7, links drawn as capsules without contact, and its inverse kinematics."""
+"""The seven-joint arm: the kinematics of the Diana 7, and its inverse kinematics.
+
+Its links are drawn as capsules and have no contact.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,8 @@ import numpy as np
 from dgeval.geometry import Array, rotation_vector
 from dgeval.robots.mjcf import place, pose
 
-# origin xyz m and rpy rad in the parent link, limits rad, speed rad/s; every joint turns about its local z
+# Of each joint: origin xyz, m, and rpy, rad, in the parent link; lower and upper limit, rad; speed
+# limit, rad/s. Every joint turns about its local z. From the Diana 7's URDF.
 JOINTS = (
     ((0.0, 0.0, 0.2856), (-np.pi, 0.0, 0.0), -3.1241, 3.1241, 2.967),
     ((0.0, 0.0, 0.0), (np.pi / 2, 0.0, 0.0), -1.5708, 1.5708, 2.618),
@@ -19,13 +23,16 @@ JOINTS = (
     ((0.087, -0.1169, 0.0), (-np.pi / 2, 0.0, 0.0), -3.1241, 3.1241, 3.840),
 )
 JOINT_NAMES = tuple(f"arm_{k}" for k in range(1, 8))
+# Joint limits, rad, and speed limits, rad/s, (7,) each, from the table above.
 LOWER = np.array([j[2] for j in JOINTS])
 UPPER = np.array([j[3] for j in JOINTS])
 MAX_SPEED = np.array([j[4] for j in JOINTS])
-STIFFNESS = np.array([4000.0, 4000, 4000, 4000, 2000, 2000, 2000])  # Nm/rad of the position drives
-DAMPING = 0.1 * STIFFNESS  # Nm s/rad; the drives are told the velocity too, so this causes no lag
-LINK_RADIUS = 0.05
-# the last joint's z axis points back into the arm
+# Nm/rad, stiffness of the position drives; ours.
+STIFFNESS = np.array([4000.0, 4000, 4000, 4000, 2000, 2000, 2000])
+# Nm s/rad; ours. The drives get the velocity too, so the damping causes no lag.
+DAMPING = 0.1 * STIFFNESS
+LINK_RADIUS = 0.05  # m, of the capsules drawn for the links; ours
+# The hand on the flange (m, rad); ours. The last joint's z axis points back into the arm.
 T_flange_hand = pose((0.0, 0.0, -0.05), (np.pi, 0.0, 0.0))
 
 
@@ -35,9 +42,15 @@ def add_arm(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> mujoco.MjsBody:
     for k, (xyz, rpy, lower, upper, _) in enumerate(JOINTS):
         if np.linalg.norm(xyz) > 1e-6:
             parent.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, *xyz], size=[LINK_RADIUS, 0, 0], contype=0, conaffinity=0,
-                mass=0, rgba=[0.75, 0.76, 0.78, 1],
-            )  # fmt: skip
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                fromto=[0, 0, 0, *xyz],
+                size=[LINK_RADIUS, 0, 0],
+                contype=0,
+                conaffinity=0,
+                mass=0,
+                rgba=[0.75, 0.76, 0.78, 1],
+            )
+        # mass kg, inertia kg m^2 and armature kg m^2 are ours: gravity is compensated
         parent = parent.add_body(name=f"link_{k + 1}", gravcomp=1)
         place(parent, pose(xyz, rpy))
         parent.mass, parent.inertia, parent.explicitinertial = 2.0, [0.01] * 3, True
@@ -59,7 +72,10 @@ def add_arm(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> mujoco.MjsBody:
 
 
 class ArmKinematics:
-    """Forward and differential inverse kinematics of the palm, or of another tool, on a model of the arm alone."""
+    """Forward and differential inverse kinematics of the palm, or of another tool.
+
+    T_hand_tool (4, 4): the tool in the frame `hand_base`. The model is the arm alone.
+    """
 
     def __init__(self, T_hand_tool: Array) -> None:
         spec = mujoco.MjSpec()
@@ -72,7 +88,7 @@ class ArmKinematics:
         self._J = np.zeros((6, 7))
 
     def palm(self, q: Array) -> Array:
-        """T_base_palm (4, 4) at joint positions (7,)."""
+        """T_base_palm (4, 4) at joint positions (7,), rad."""
         self.data.qpos[:] = q
         mujoco.mj_kinematics(self.model, self.data)
         T = np.eye(4)
@@ -81,9 +97,12 @@ class ArmKinematics:
         return T
 
     def joint_velocity(self, q: Array, twist: Array) -> Array:
-        """Joint speeds (7,) for a palm twist (6,) [m/s, rad/s] in base axes at the palm's origin.
+        """Joint speeds (7,) rad/s for a palm twist (6,) [m/s, rad/s] in base axes at the palm's
+        origin.
 
-        Damped least squares; the free direction turns the elbow into the vertical plane, and joints stop at their limits.
+        Damped least squares. The free direction turns the elbow into the vertical plane. Speeds are
+        scaled down together to the limits, and a joint within 0.02 rad of a limit does not move
+        towards it.
         """
         self.palm(q)
         mujoco.mj_comPos(self.model, self.data)
@@ -99,9 +118,13 @@ class ArmKinematics:
         return np.asarray(dq)
 
     def solve(
-        self, T_base_palm: Array, q: Array, iterations: int = 200, enough: float = 1e-6
+        self, T_base_palm: Array, q: Array, iterations: int = 200, tolerance: float = 1e-6
     ) -> tuple[Array, float]:
-        """Joint positions (7,) near q that bring the palm to a pose, and what is left of the error (m + 0.1 m per rad)."""
+        """Joint positions (7,) near q that bring the palm to a pose, and the error that is left.
+
+        The error is the distance in m plus 0.1 m per rad. The search ends when it is below
+        `tolerance`, or after `iterations` steps.
+        """
         q = q.copy()
         residual = np.inf
         for _ in range(iterations):
@@ -110,7 +133,7 @@ class ArmKinematics:
                 [T_base_palm[:3, 3] - T[:3, 3], rotation_vector(T_base_palm[:3, :3] @ T[:3, :3].T)]
             )
             residual = float(np.linalg.norm(error[:3]) + 0.1 * np.linalg.norm(error[3:]))
-            if residual < enough:
+            if residual < tolerance:
                 break
             q = np.clip(q + 0.3 * self.joint_velocity(q, error / 0.3), LOWER + 0.021, UPPER - 0.021)
         return q, residual

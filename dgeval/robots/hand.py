@@ -1,4 +1,4 @@
-"""What a hand is to the rest of dgeval, and which hands there are.
+"""What dgeval asks of a hand, and which hands there are.
 
 A new hand is one file in this folder, or one behind the entry point group `dgeval.hands`, with a
 module attribute `HAND`. Nothing outside this folder knows a finger's name or how many there are.
@@ -19,7 +19,7 @@ from dgeval.plugins import modules_with
 if TYPE_CHECKING:
     import mujoco
 
-ENTRY_POINTS = "dgeval.hands"
+ENTRY_POINTS = "dgeval.hands"  # the group in which installed packages name their hands
 BASE = "hand_base"  # the body that a hand's solids hang on
 
 
@@ -27,8 +27,8 @@ BASE = "hand_base"  # the body that a hand's solids hang on
 class Grip:
     """How a grip shows in a log, some time after the close.
 
-    signal: which values of `joints` are looked at, position (rad, m) or effort (Nm, N). least: how
-    many samples it takes. holds: of samples (n, len(joints)), whether the hand holds something, and
+    signal: which values of `joints` are read, position (rad, m) or effort (Nm, N). least: how many
+    samples are needed. holds: from samples (n, len(joints)), whether the hand holds something, and
     a sentence with the figures.
     """
 
@@ -54,22 +54,26 @@ class Solids:
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand: solids, joints and their coupling, drives, closing over time, frames, how a grip shows.
+    """A hand: its solids, joints, drives, closing motion and frames, and how a grip shows in a log.
 
     name: unique, as in configurations. joints: all, in the order of joint states; drives: those
-    with a drive. fingers: first parts (up to "_") of the names of its solids. grasp_network: the
-    network whose weights are for this hand. T_hand_palm: the frame of grasps in the base frame;
-    T_hand_camera: the colour camera as calibrated. centre (3,) m: where held objects are, base
-    frame. open (k,): drives before a grasp is chosen. drive_limits (2, k), drive_speed: rad or m,
-    and per second. close_s: from
-    the command until the hand has closed. positions: all joints from the drives. targets: drives, s after the close
-    command, from those before it. solids: see `Solids`, of drives (n, k). mismatch_sd: rad or m, of
-    where the closing fingers come to rest in physics against a log. add: puts the hand into a spec
-    below a body; geoms have contype 2 and conaffinity 1, and are named "<finger>_<…>". links: the
-    hand's links and joints below BASE as URDF text; palm_solids: those of BASE itself.
-    random_preshape: drives before a close, to search grasps with. link_points: n points (n, 3) m on
-    the open hand's links, frame of grasps, for a network that sees them. opening m: between two
-    opposite pads, of a hand that has them.
+    with a drive; the k drives are in rad or m. fingers: first parts (up to "_") of the names of its
+    solids. grasp_network: the network whose weights are for this hand.
+
+    T_hand_palm: the frame of grasps in the base frame. T_hand_camera: the colour camera as
+    calibrated. centre (3,) m: where held objects are, base frame. opening m: between two opposite
+    pads, of a hand that has them.
+
+    open (k,): drives before a grasp is chosen. drive_limits (2, k): lower and upper. drive_speed:
+    per second. random_preshape: drives (k,) before a close, to search grasps with. close_s: s from
+    the command until the hand has closed. targets: drives at a time, s, after the close command,
+    from those before it. positions: all joints from the drives. mismatch_sd, rad or m: standard
+    deviation between where closing fingers come to rest in physics and in a log.
+
+    solids: see `Solids`, from drives (n, k). add: puts the hand into a spec below a body; geoms
+    have contype 2 and conaffinity 1 and are named "<finger>_<…>". links: the hand's links and
+    joints below BASE as URDF text; palm_solids: the solids of BASE. link_points: n points (n, 3) m
+    on the open hand's links, frame of grasps, for a network that takes them.
     """
 
     name: str
@@ -106,7 +110,7 @@ def hands() -> tuple[Hand, ...]:
 
 
 def hand_named(name: str) -> Hand:
-    """KeyError with the names there are where there is none."""
+    """The hand of that name. KeyError names the hands there are."""
     for hand in hands():
         if hand.name == name:
             return hand
@@ -114,10 +118,10 @@ def hand_named(name: str) -> Hand:
 
 
 def hand_for(network: str) -> Hand:
-    """The hand that a grasp network's weights are for: ffhnet or vfas."""
+    """The hand that a grasp network's weights are for: network `ffhnet` or `vfas`."""
     return next(h for h in hands() if h.grasp_network == network)
 
 
 def hand_of(joints: Collection[str]) -> Hand | None:
-    """The hand whose drives are among these joints; None for a hand of which there is no model."""
+    """The hand whose drives are among these joints; None if no hand fits."""
     return next((h for h in hands() if set(h.drives) <= set(joints)), None)

@@ -9,7 +9,7 @@ from dgeval.geometry import Array
 
 
 def pose(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Array:
-    """T_parent_child (4, 4) of a URDF origin."""
+    """T_parent_child (4, 4) of a URDF origin: xyz m, rpy rad about fixed axes."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
     T[:3, 3] = xyz
@@ -17,7 +17,7 @@ def pose(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Ar
 
 
 def quat_wxyz(R: Array) -> Array:
-    """Rotation matrix (3, 3) -> MuJoCo's quaternion order."""
+    """Quaternion (4,) in MuJoCo's order w x y z from a rotation matrix (3, 3)."""
     return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))
 
 

@@ -1,8 +1,9 @@
-"""A parallel-jaw gripper: two fingers of a proximal and a distal link that slide towards each other. Dimensions are ours.
+"""A parallel-jaw gripper: two fingers of a proximal and a distal link that slide together.
 
-VFAS-Grasp's gripper is a four-bar linkage of unknown size, whose fingertips stay parallel; slides stand in for it.
-Grasp frame: origin between the fingertips, 10 mm behind their ends, +z the approach, +x the closing direction (the paper's
-Figure 3). Hand frame `hand_base`: at the flange, the same axes. Metres, radians.
+VFAS-Grasp's gripper is a four-bar linkage of unknown size, whose fingertips stay parallel. Sliding
+fingers stand for it; their dimensions are dgeval's own. Grasp frame: origin between the fingertips,
+10 mm behind their ends, +z the approach, +x the closing direction (the paper's Figure 3). Hand
+frame `hand_base`: at the flange, the same axes. Metres, radians.
 """
 
 from __future__ import annotations
@@ -16,31 +17,33 @@ from dgeval.robots import urdf
 from dgeval.robots.hand import Grip, Hand, Solids
 from dgeval.robots.mjcf import place
 
+# All dimensions, forces and speeds in this file are dgeval's own.
 OPENING = 0.10  # m between the pads
 TRAVEL = OPENING / 2  # m, of each finger
 JOINT_NAMES = ("left_jaw", "right_jaw")
 FINGERS = ("left", "right")
-# half sizes and centres in the grasp frame; of the fingers when closed, for the one at +x
+# Half sizes m and centres m in the grasp frame; of the closed fingers, the one at +x.
 PALM = ((0.052, 0.030, 0.030), (0.0, 0.0, -0.110))
 DISTAL = ((0.006, 0.011, 0.022), (0.006, 0.0, -0.012))
 PROXIMAL = ((0.009, 0.010, 0.024), (0.011, 0.0, -0.057))
-GRIP_FORCE = 20.0  # N, each finger
-STIFFNESS = 1500.0  # N/m
+GRIP_FORCE = 20.0  # N, at most, of each finger's drive
+STIFFNESS = 1500.0  # N/m, of each finger's drive
 CLOSE_SPEED = 0.15  # m/s of each finger
-PRESSED = -0.02  # m; where the fingers are sent to; the limited force stops them on the object
-CLOSE_S = TRAVEL / CLOSE_SPEED + 0.15  # ramp, and time to grip
-HELD_M = 0.002  # m between closed jaws; walls of cups are 3 mm and more
-OPEN = np.full(2, TRAVEL)
-T_hand_grasp = np.eye(4)
+PRESSED = -0.02  # m, target of a closed finger; the limited force stops it on the object
+CLOSE_S = TRAVEL / CLOSE_SPEED + 0.15  # s, ramp and time to grip
+HELD_M = 0.002  # m between jaws that hold something; walls of cups are 3 mm and more
+OPEN = np.full(2, TRAVEL)  # m, (2,)
+T_hand_grasp = np.eye(4)  # m
 T_hand_grasp[2, 3] = 0.14
-# The camera behind and above the fingers, tilted so that a point 10 cm before the fingertips is in the middle; ours.
+# The camera sits behind and above the fingers. Its tilt puts a point 10 cm before the fingertips
+# into the middle of the image (m, degrees).
 T_hand_camera = np.eye(4)
 T_hand_camera[:3, :3] = Rotation.from_euler("x", -20, degrees=True).as_matrix()
 T_hand_camera[:3, 3] = (0.0, -0.07, 0.03)
 
 
 def add_gripper(spec: mujoco.MjSpec, hand_base: mujoco.MjsBody) -> None:
-    """Put palm, fingers and their drives into a spec, below the body `hand_base`; the fingers move alike.
+    """Put palm, fingers and their drives below the body `hand_base`; the fingers move alike.
 
     Contact as the five-finger hand's: contype 2, conaffinity 1.
     """
@@ -54,9 +57,14 @@ def add_gripper(spec: mujoco.MjSpec, hand_base: mujoco.MjsBody) -> None:
     for name, side in zip(JOINT_NAMES, (1.0, -1.0), strict=True):
         finger = hand_base.add_body(name=name, pos=offset, gravcomp=1)
         finger.add_joint(
-            name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[side, 0, 0], range=[0, TRAVEL], limited=True, damping=20,
-            armature=0.1,
-        )  # fmt: skip
+            name=name,
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=[side, 0, 0],
+            range=[0, TRAVEL],
+            limited=True,
+            damping=20,  # N s/m
+            armature=0.1,  # kg
+        )
         for part, (half, centre) in (("distal", DISTAL), ("proximal", PROXIMAL)):
             geom = finger.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -70,13 +78,18 @@ def add_gripper(spec: mujoco.MjSpec, hand_base: mujoco.MjsBody) -> None:
         drive.set_to_position(kp=STIFFNESS, kv=30.0)
         drive.forcelimited, drive.forcerange = True, [-GRIP_FORCE, GRIP_FORCE]
     couple = spec.add_equality(
-        type=mujoco.mjtEq.mjEQ_JOINT, name1=JOINT_NAMES[0], name2=JOINT_NAMES[1], objtype=mujoco.mjtObj.mjOBJ_JOINT,
-        solref=[0.004, 1],
-    )  # fmt: skip
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        name1=JOINT_NAMES[0],
+        name2=JOINT_NAMES[1],
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        solref=[0.004, 1],  # s, damping ratio
+    )
     couple.data = [0, 1, *[0] * (len(couple.data) - 2)]
 
 
 def _solid(geom: mujoco.MjsGeom, rgba: tuple[float, float, float, float]) -> None:
+    # friction and solver values are those of the five-finger hand (ours)
+    """Set contact, friction and colour of a solid of the gripper."""
     geom.contype, geom.conaffinity, geom.condim, geom.priority = 2, 1, 4, 1
     geom.friction, geom.solref, geom.solimp = (
         [0.9, 0.005, 0.0001],
@@ -87,26 +100,26 @@ def _solid(geom: mujoco.MjsGeom, rgba: tuple[float, float, float, float]) -> Non
 
 
 def finger_targets(since_close: float, preshape: Array) -> Array:
-    """Finger drives (2,) m a time after the close command, s."""
+    """Targets (2,) m of the finger drives, a time in s after the close command."""
     return np.asarray(np.clip(preshape - CLOSE_SPEED * max(since_close, 0.0), PRESSED, TRAVEL))
 
 
 def link_points(n: int, rng: np.random.Generator) -> Array:
-    """Points (n, 3) m, grasp frame, uniform on the surfaces of the proximal and distal links of an open gripper.
+    """Points (n, 3) m on an open gripper's links, grasp frame, uniform by area.
 
-    The gripper's cloud of VFAS-Grasp (section III-B).
+    They lie on the surfaces of the proximal and distal links. This is the gripper's cloud of
+    VFAS-Grasp (section III-B).
     """
     boxes = [
         (np.array(half), np.array([side * (centre[0] + OPENING / 2), *centre[1:]]))
         for half, centre in (DISTAL, PROXIMAL)
         for side in (1.0, -1.0)
     ]
-    areas = np.array(
-        [[h[1] * h[2], h[0] * h[2], h[0] * h[1]] for h, _ in boxes]
-    )  # of a face across each axis
-    which = rng.choice(areas.size, n, p=areas.ravel() / areas.sum())
+    # a quarter of the area, m^2, of a face across each axis
+    areas = np.array([[h[1] * h[2], h[0] * h[2], h[0] * h[1]] for h, _ in boxes])
+    faces = rng.choice(areas.size, n, p=areas.ravel() / areas.sum())
     out = np.empty((n, 3))
-    for i, cell in enumerate(which):
+    for i, cell in enumerate(faces):
         half, centre = boxes[cell // 3]
         point = rng.uniform(-1, 1, 3)
         point[cell % 3] = rng.choice([-1.0, 1.0])
@@ -115,6 +128,7 @@ def link_points(n: int, rng: np.random.Generator) -> Array:
 
 
 def links() -> list[str]:
+    """The fingers' links and joints below `hand_base` as URDF text."""
     parts = []
     for name, side in zip(JOINT_NAMES, (1.0, -1.0), strict=True):
         solids = [(half, (side * centre[0], *centre[1:])) for half, centre in (DISTAL, PROXIMAL)]
@@ -139,14 +153,20 @@ def links() -> list[str]:
 
 
 def between_jaws(positions: Array) -> tuple[bool, str]:
-    """Whether closed jaws hold something, by how far (n, 2) m they are from meeting over some time."""
+    """Whether closed jaws hold something, and a sentence that gives the gap.
+
+    positions (n, 2) m: how far each finger is from the middle, over some time.
+    """
     gap = float(np.median(positions.sum(axis=1)))
-    said = f"the jaws are {gap * 1000:.0f} mm apart at the end"
-    return (True, said) if gap > HELD_M else (False, f"{said}: they hold nothing")
+    text = f"the jaws are {gap * 1000:.0f} mm apart at the end"
+    return (True, text) if gap > HELD_M else (False, f"{text}: they hold nothing")
 
 
 def fixed_solids(drives: Array) -> Solids:
-    """Palm and open fingers as boxes; no capsules."""
+    """Palm and open fingers as boxes; no capsules.
+
+    drives (n, 2) m: only their number counts, since the boxes do not move.
+    """
     offset = T_hand_grasp[:3, 3]
     boxes = [(PALM[0], tuple(float(v) for v in offset + PALM[1]))]
     for side in (1.0, -1.0):

@@ -1,4 +1,7 @@
-"""The robot as a URDF, from the same tables as the physics; what a log carries as /robot_description."""
+"""The robot as a URDF, from the same tables as the physics.
+
+A recording carries it as /robot_description.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,14 @@ from dgeval.robots import diana7 as arm
 from dgeval.robots.hand import BASE, Hand
 
 Numbers = tuple[float, ...]
-CAMERA_FRAME = "camera_color_optical_frame"
+CAMERA_FRAME = "camera_color_optical_frame"  # the colour camera's frame in recordings
 
 
 def robot_urdf(T_hand_camera: Array, hand: Hand) -> str:
-    """Arm, hand with its solids, palm_link (the frame of grasps), and the camera as calibrated."""
+    """URDF text of arm, hand with its solids, `palm_link` (the frame of grasps) and camera.
+
+    T_hand_camera (4, 4): the camera as calibrated.
+    """
     parts = [link("base_link")]
     parent = "base_link"
     for k, (xyz, rpy, lower, upper, speed) in enumerate(arm.JOINTS):
@@ -33,7 +39,7 @@ def robot_urdf(T_hand_camera: Array, hand: Hand) -> str:
 
 
 def boxes(boxes: Sequence[tuple[Numbers, Numbers]]) -> str:
-    """Solids of half sizes and centres."""
+    """Box solids as URDF text, from half sizes m and centres m."""
     return "".join(
         solid(centre, (0, 0, 0), f'<box size="{2 * half[0]} {2 * half[1]} {2 * half[2]}"/>')
         for half, centre in boxes
@@ -41,23 +47,29 @@ def boxes(boxes: Sequence[tuple[Numbers, Numbers]]) -> str:
 
 
 def origin(T: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    with (
-        warnings.catch_warnings()
-    ):  # a finger that points straight up is at the pole of these angles
+    """xyz m and rpy rad (fixed axes) of a pose (4, 4)."""
+    # a finger that points straight up is at the pole of these angles
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
     return tuple(float(v) for v in T[:3, 3]), tuple(float(v) for v in rpy)  # type: ignore[return-value]
 
 
 def text(values: tuple[float, ...]) -> str:
+    """Numbers as text, nine digits."""
     return " ".join(f"{v:.9g}" for v in values)
 
 
 def solid(xyz: tuple[float, ...], rpy: tuple[float, ...], geometry: str) -> str:
-    return f'<collision><origin xyz="{text(xyz)}" rpy="{text(rpy)}"/><geometry>{geometry}</geometry></collision>'
+    """A collision solid at xyz m and rpy rad."""
+    return (
+        f'<collision><origin xyz="{text(xyz)}" rpy="{text(rpy)}"/>'
+        f"<geometry>{geometry}</geometry></collision>"
+    )
 
 
 def capsule(a: Array, b: Array, radius: float) -> str:
+    """A capsule from a to b, m, as a cylinder and two spheres; no text if b is the origin."""
     if not b.any():
         return ""
     length = float(np.linalg.norm(b - a))
@@ -70,22 +82,33 @@ def capsule(a: Array, b: Array, radius: float) -> str:
 
 
 def link(name: str, solids: str = "") -> str:
+    """A link with its solids."""
     return f'<link name="{name}">{solids}</link>'
 
 
 def joint(
-    name: str, parent: str, child: str, xyz: Numbers, rpy: Numbers, limits: Numbers, more: str = "", kind: str = "revolute",
+    name: str,
+    parent: str,
+    child: str,
+    xyz: Numbers,
+    rpy: Numbers,
+    limits: Numbers,
+    more: str = "",
+    kind: str = "revolute",
     axis: str = "0 0 1",
-) -> str:  # fmt: skip
+) -> str:
+    """A joint; limits: lower and upper rad or m, effort Nm or N, speed rad/s or m/s."""
     lower, upper, effort, speed = limits
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
         f'<origin xyz="{text(xyz)}" rpy="{text(rpy)}"/><axis xyz="{axis}"/>'
-        f'<limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="{speed}"/>{more}</joint>'
+        f'<limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="{speed}"/>{more}'
+        "</joint>"
     )
 
 
 def fixed(name: str, parent: str, child: str, T: Array) -> str:
+    """A fixed joint with T_parent_child (4, 4)."""
     xyz, rpy = origin(T)
     return (
         f'<joint name="{name}" type="fixed"><parent link="{parent}"/><child link="{child}"/>'

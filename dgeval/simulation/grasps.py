@@ -69,7 +69,7 @@ class FlyingHand(HandAndObject):
         self.place_object(np.array([0.5, 0.0, self.rest, 1, 0, 0, 0]), np.zeros(6))
         self.fly_to(np.concatenate([T_base_hand[:3, 3], quat_wxyz(T_base_hand[:3, :3])]))
         self.place_fingers(preshape)
-        self.look()
+        self.update_contacts()
 
     def put_palm(self, T_object_palm: Array, preshape: Array) -> None:
         """`put`, by a palm pose in the object's frame."""

@@ -45,7 +45,7 @@ class FlyingJaw(HandAndObject):
         ]
         self.fly_to(np.concatenate([T[:3, 3], quat_wxyz(T[:3, :3])]))
         self.place_fingers(HAND.open)
-        self.look()
+        self.update_contacts()
 
     def touches(self) -> tuple[bool, bool]:
         """Whether the gripper penetrates an object, and the table, by more than 1 mm."""

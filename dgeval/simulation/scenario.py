@@ -18,8 +18,7 @@ from dgeval.robots.hand import Hand, hand_named
 from dgeval.simulation.faults import Faults, draw
 from dgeval.simulation.setting import Turn
 from dgeval.worlds.objects import ObjectModel
-from dgeval.worlds.presenter import Presenter
-from dgeval.worlds.presenter import drawn as drawn_presenter
+from dgeval.worlds.presenter import Presenter, draw_presenter
 from dgeval.worlds.scene import TURNTABLE_CENTRE
 
 PACKAGE = resources.files("dgeval.simulation")
@@ -271,7 +270,7 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
     presenter = None
     if (config_of := scenario.presenter) is not None:
         own = generator(seed, f"plan/{drawn_as}/presenter", index)
-        presenter = drawn_presenter(
+        presenter = draw_presenter(
             own,
             things[name].extent(),
             x,

@@ -284,6 +284,6 @@ class _Chooser:
         if not self._of.way_free(row, self._T_object_hand):
             return False
         _, residual = self._world.kinematics.solve(
-            self._poses[row], self._world.q_set, 100, enough=REACHED
+            self._poses[row], self._world.q_set, 100, tolerance=REACHED
         )
         return residual < REACHED

@@ -11,8 +11,7 @@ from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.setting import Turn
 from dgeval.worlds.objects import ObjectModel
-from dgeval.worlds.presenter import Presenter
-from dgeval.worlds.presenter import drawn as drawn_presenter
+from dgeval.worlds.presenter import Presenter, draw_presenter
 from dgeval.worlds.scene import TURNTABLE_CENTRE
 
 PLACES_X, PLACES_Y, GAP = (
@@ -128,9 +127,9 @@ def _presented(
     """To where the gripper looks: the upper part of the object comes to the seed, give or take 3 cm."""
     assert scenario.presenter is not None
     c = scenario.presenter
-    some = drawn_presenter(rng, thing.extent(), 0.0, 0.0, yaw, c.tremor_m, np.radians(c.tremor_deg))
+    some = draw_presenter(rng, thing.extent(), 0.0, 0.0, yaw, c.tremor_m, np.radians(c.tremor_deg))
     T = waiting_pose()
     seed = T[:3, 3] + scenario.pipeline.vfas.search_ahead * T[:3, 2]
     end = seed + rng.uniform(-0.03, 0.03, 3) - [0.0, 0.0, thing.extent()[2] / 2 - 0.02]
     start = end + some.start - some.end
-    return Presenter(start, end, some.arrive, yaw, some.phases, some.metres, some.radians)
+    return Presenter(start, end, some.arrive, yaw, some.phases, some.tremor_m, some.tremor_rad)

@@ -1,4 +1,7 @@
-"""How the hand closes, follows, lifts, and when it has something: the same in the simulator, the grasp search and the twin."""
+"""How the hand closes, follows, lifts, and when it holds something.
+
+The simulator, the grasp search and the twin use the same rule.
+"""
 
 from __future__ import annotations
 
@@ -7,23 +10,26 @@ import numpy as np
 from dgeval.geometry import Array
 from dgeval.worlds.scene import TIMESTEP
 
-CONTROL_S = 0.010  # period of the control loop
-SUBSTEPS = round(CONTROL_S / TIMESTEP)
-# s, s, s, m: what every hand is given to close, then a wait, then the lift
-CLOSE_S, SETTLE_S, LIFT_S, LIFT_HEIGHT = (
-    0.4,
-    0.1,
-    0.7,
-    0.20,
-)  # wait after the closing ramp, lift (m)
-MIN_LIFT, MAX_FROM_HAND = 0.10, 0.15  # m: over its support; object's centre from the grasp's centre
-AFTER_CLOSE_S = 0.6  # close times are tried until this long after the real one
+CONTROL_S = 0.010  # s, period of the control loop; ours
+SUBSTEPS = round(CONTROL_S / TIMESTEP)  # physics steps in a control period
+# All values below are ours; docs/simulation.md says what they do.
+CLOSE_S = 0.4  # s, that every hand has to close
+SETTLE_S = 0.1  # s, wait after the closing ramp
+LIFT_S = 0.7  # s, duration of the lift
+LIFT_HEIGHT = 0.20  # m
+MIN_LIFT = 0.10  # m over its support: a lifted object is at least as high
+MAX_FROM_HAND = 0.15  # m, at most, from the grasp centre to the centre of a held object
+AFTER_CLOSE_S = 0.6  # s after the real close, until which other close times are tried
 TRUTH_STEP = 3  # control periods between the close times tried, 30 ms
-NEAR = 0.08  # m; hand to object, where the window of other close times begins
+NEAR = 0.08  # m from hand to object, where the window of other close times begins
 
 
 def finishing_twist(since_close: float, velocity: Array) -> Array:
-    """Palm twist (6,) after the close command: follow the object, then lift straight up while the following dies out."""
+    """Palm twist (6,) m/s, rad/s, a time in s after the close command.
+
+    The hand follows the object at its velocity (3,) m/s, then lifts straight up; the following dies
+    out during the lift.
+    """
     twist = np.zeros(6)
     lift = since_close - CLOSE_S - SETTLE_S
     share = float(np.clip(lift / LIFT_S, 0.0, 1.0))
@@ -33,6 +39,10 @@ def finishing_twist(since_close: float, velocity: Array) -> Array:
     return twist
 
 
-def swing(since: float, metres: float) -> Array:
-    """Sideways offset (2,) m of a shake at 5 Hz, to and fro by so much, begun at rest; its peak is metres * 493 / s^2."""
-    return np.asarray(metres * (1 - np.cos(2 * np.pi * since / 0.2)) / 2 * np.array([0.8, 0.6]))
+def swing(since: float, travel_m: float) -> Array:
+    """Sideways offset (2,) m of a shake at 5 Hz, a time in s after it began.
+
+    The palm starts at rest and moves by travel_m and back in each period. Its peak acceleration is
+    travel_m * 493 / s^2.
+    """
+    return np.asarray(travel_m * (1 - np.cos(2 * np.pi * since / 0.2)) / 2 * np.array([0.8, 0.6]))

@@ -1,4 +1,4 @@
-"""One physics of a hand at an object: put, touch, grip, lift, save and restore.
+"""One physics of a hand at an object: set poses, read contacts, grip, lift, save and restore.
 
 The simulator's world (hand on an arm), the verdict's twin (the recorded hand) and the grasp
 samplers (a hand on a mocap handle) are this class with another way to move the hand.
@@ -17,19 +17,17 @@ from dgeval.worlds.closing import MAX_FROM_HAND, MIN_LIFT, swing
 from dgeval.worlds.presenter import GRIP
 from dgeval.worlds.scene import TIMESTEP, finger_forces, least_distance
 
-INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION
-LOOK_EVERY, LEFT_BEHIND_M = (
-    25,
-    0.02,
-)  # steps; m over its rest, below which a half lifted hand has left the object
+INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION  # the part of the state that is saved
+CHECK_EVERY = 25  # physics steps between two checks of a lift test; ours
+LEFT_BEHIND_M = 0.02  # m over its rest: below this, a half lifted hand has lost the object; ours
 
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Contacts of the hand: with the object, and with anything else.
+    """What the hand touches: the object, and anything else.
 
-    penetration m: deepest of hand and object, 0 without contact. solid: the hand's solid that
-    penetrates deepest, None without contact.
+    penetration m: deepest of hand and object, 0 without contact. solid: name of the hand's solid
+    that penetrates deepest, None without contact.
     """
 
     object: bool
@@ -40,10 +38,11 @@ class Touch:
 
 @dataclass(frozen=True, slots=True)
 class LiftTest:
-    """How a flying hand tries a grasp: close, wait, lift by height m along a smooth step, hold, shake.
+    """How a flying hand tries a grasp: close, wait, lift, hold, shake.
 
-    shake_m: to and fro at 5 Hz (`closing.swing`), 0 for none. A grasp holds if the object ends at
-    least 0.8 of the height up.
+    It waits settle_s s after the close, lifts by height_m m along a smooth step in lift_s s and
+    holds for hold_s s. shake_m m: travel of a shake at 5 Hz (`closing.swing`), 0 for none. A grasp
+    holds if the object ends at least 0.8 of the height up.
     """
 
     settle_s: float
@@ -80,38 +79,41 @@ class HandAndObject:
     # state
 
     def state(self) -> Array:
-        """Everything that a continuation depends on, to the last bit."""
+        """The state from which the physics continues bit for bit."""
         out = np.empty(self._size)
         mujoco.mj_getState(self.model, self.data, out, INTEGRATION)
         return out
 
     def set_state(self, state: Array) -> None:
-        """Back to a state; positions and contacts are those of `mj_forward` after it."""
+        """Restore a state. Call `mj_forward` to get its positions and contacts."""
         mujoco.mj_setState(self.model, self.data, state, INTEGRATION)
 
     # put
 
     def place_object(self, pose_wxyz: Array, velocity: Array) -> None:
-        """Object to a pose (7,) in MuJoCo's order and velocity (6,); `mj_forward` is the caller's."""
+        """Set the object's pose (7,) in MuJoCo's order and its velocity (6,).
+
+        The caller calls `mj_forward`.
+        """
         self.data.qpos[self.object : self.object + 7] = pose_wxyz
         self.data.qvel[self.object_dof : self.object_dof + 6] = velocity
         self.data.qacc_warmstart[:] = 0
 
     def place_fingers(self, drives: Array) -> None:
-        """Finger joints and their drives at drive positions (k,)."""
+        """Set finger joints and their drives to drive positions (k,), rad or m."""
         self.data.qpos[self.fingers] = self.gripper.positions(drives)
         self.data.ctrl[self.drives] = drives
 
     def fly_to(self, pose_wxyz: Array) -> None:
-        """A hand on its handle to a pose (7,) of its base in MuJoCo's order."""
+        """Move a hand on its handle to a pose (7,) of its base, in MuJoCo's order."""
         at = int(self.model.joint("hand").qposadr[0])
         handle = int(self.model.body("handle").mocapid[0])
         self.data.qpos[at : at + 7] = pose_wxyz
         self.data.mocap_pos[handle] = pose_wxyz[:3]
         self.data.mocap_quat[handle] = pose_wxyz[3:]
 
-    def look(self) -> None:
-        """Positions and contacts of what was put, without dynamics."""
+    def update_contacts(self) -> None:
+        """Compute positions and contacts of the poses that were set, without dynamics."""
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
@@ -135,7 +137,10 @@ class HandAndObject:
         return Touch(True, other, max(0.0, -float(self.data.contact.dist[k])), self._names[geom])
 
     def penetration(self, anything: bool = False) -> float:
-        """Deepest penetration m of the hand with the object, or with anything; 0 without contact."""
+        """Deepest penetration of the hand with the object, m; 0 without contact.
+
+        anything: with anything the hand meets.
+        """
         pairs = self.data.contact.geom
         if not len(pairs):
             return 0.0
@@ -164,18 +169,22 @@ class HandAndObject:
 
     # grip and lift
 
-    def in_hand(self, T_base_hand: Array, place: Array) -> bool:
-        """Whether the object, at place (3,) m, is lifted, touched, near the grasp centre and let go.
+    def in_hand(self, T_base_hand: Array, position: Array) -> bool:
+        """Whether the object is lifted, touched, near the grasp centre, and let go by the
+        presenter.
 
-        Lifted: off its support by MIN_LIFT. The success rule of docs/simulation.md at one instant.
+        position (3,) m: the object's, base frame. Lifted: off its support by MIN_LIFT. This is the
+        success rule of docs/simulation.md at one instant.
         """
-        if place[2] < self.rest + MIN_LIFT or not self.touch().object or self.held_by_presenter:
+        if position[2] < self.rest + MIN_LIFT or not self.touch().object or self.held_by_presenter:
             return False
         centre = T_base_hand[:3, :3] @ self.gripper.centre + T_base_hand[:3, 3]
-        return bool(np.linalg.norm(place - centre) < MAX_FROM_HAND)
+        return bool(np.linalg.norm(position - centre) < MAX_FROM_HAND)
 
     def lift_test(self, drives: Array, test: LiftTest) -> bool:
-        """Whether a flying hand that closes from these drives keeps the object through a test."""
+        """Whether a flying hand that closes from these drives (k,) keeps the object
+        through a test.
+        """
         m, d = self.model, self.data
         start = d.mocap_pos[0].copy()
         low = float(d.qpos[self.object + 2])
@@ -190,6 +199,6 @@ class HandAndObject:
             d.mocap_pos[0, 2] = start[2] + test.height_m * rise * rise * (3 - 2 * rise)
             mujoco.mj_step(m, d)
             left = d.qpos[self.object + 2] < low + LEFT_BEHIND_M
-            if k % LOOK_EVERY == 0 and rise > 0.5 and left:
+            if k % CHECK_EVERY == 0 and rise > 0.5 and left:
                 return False
         return bool(d.qpos[self.object + 2] > low + 0.8 * test.height_m)

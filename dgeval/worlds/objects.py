@@ -1,7 +1,8 @@
-"""Objects to grasp: ten like those of the paper, procedural ones to train on, and users' meshes.
+"""Objects to grasp: those of the two papers, procedural ones to train on, and users' meshes.
 
-Object frame: origin at the centre of the bounding box (of a mug: of its body), z up as it stands on the belt. Metres,
-kilograms. Each object is a set of convex parts for contact and, where those would not look right, a mesh to be seen.
+Object frame: origin at the centre of the bounding box (of a mug: of its body), z up as it stands on
+the belt. Metres, kilograms. Each object is a set of convex parts for contact and, where those would
+not look right, a mesh that is drawn.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from dgeval.robots.mjcf import place
 from dgeval.worlds.textures import Look, add_material
 
 Kind = Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "hull"]
-OBJECT_GROUP = 2  # of what is seen: the object, to be drawn alone
+OBJECT_GROUP = 2  # MuJoCo's geom group of the drawn object, so that it can be drawn alone
+# MuJoCo's geom type of each kind of part; hulls are meshes
 GEOM = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -34,7 +36,11 @@ GEOM = {
 
 @dataclass(frozen=True)
 class Part:
-    """A convex solid. `size` as MuJoCo has it: half lengths; radius; radius and half length; semi-axes. Hulls have vertices."""
+    """A convex solid of an object.
+
+    size, m, as in MuJoCo: box, half lengths; sphere, radius; cylinder and capsule, radius and half
+    length; ellipsoid, semi-axes. vertices (n, 3) m: of a hull.
+    """
 
     kind: Kind
     T_object_part: Array
@@ -42,6 +48,7 @@ class Part:
     vertices: Array | None = None
 
     def volume(self) -> float:
+        """Volume, m^3."""
         s = self.size
         if self.kind == "box":
             return 8 * s[0] * s[1] * s[2]
@@ -57,7 +64,7 @@ class Part:
         return float(ConvexHull(self.vertices).volume)
 
     def lowest(self, direction: Array) -> float:
-        """Least coordinate of the part along a unit direction (3,) of the object frame."""
+        """Least coordinate of the part, m, along a unit direction (3,) of the object frame."""
         d = self.T_object_part[:3, :3].T @ direction
         s = np.array(self.size)
         if self.kind == "box":
@@ -78,15 +85,17 @@ class Part:
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """What the physics and the renderer need of an object."""
+    """What the physics and the renderer need of an object.
+
+    mass in kg. mesh: vertices (n, 3) m and faces (m, 3), drawn only. soft: foam, with soft contact.
+    rolls: with rolling friction.
+    """
 
     name: str
     mass: float
     parts: tuple[Part, ...]
     look: Look
-    mesh: tuple[Array, NDArray[np.int32]] | None = field(
-        default=None, repr=False
-    )  # vertices m, faces; to be seen only
+    mesh: tuple[Array, NDArray[np.int32]] | None = field(default=None, repr=False)
     soft: bool = False
     rolls: bool = False
 
@@ -101,6 +110,7 @@ class ObjectModel:
 
 
 def at(x: float = 0.0, y: float = 0.0, z: float = 0.0, R: Array | None = None) -> Array:
+    """A pose (4, 4) from a position in m and a rotation (3, 3)."""
     T = np.eye(4)
     T[:3, 3] = (x, y, z)
     if R is not None:
@@ -111,11 +121,13 @@ def at(x: float = 0.0, y: float = 0.0, z: float = 0.0, R: Array | None = None) -
 def box(
     name: str, size_mm: tuple[float, float, float], mass: float, look: Look, soft: bool = False
 ) -> ObjectModel:
+    """A box of a size in mm and a mass in kg."""
     half = tuple(s / 2000 for s in size_mm)
     return ObjectModel(name, mass, (Part("box", np.eye(4), half),), look, soft=soft)
 
 
 def ball(name: str, diameter: float, mass: float, look: Look) -> ObjectModel:
+    """A ball of a diameter in m and a mass in kg."""
     return ObjectModel(name, mass, (Part("sphere", np.eye(4), (diameter / 2,)),), look, rolls=True)
 
 
@@ -129,7 +141,10 @@ def vessel(
     look: Look,
     handle: float = 0.0,
 ) -> ObjectModel:
-    """Open cup: twelve wall boxes and a bottom disc, seen as a surface of revolution; a handle of three capsules, or none."""
+    """An open cup: twelve wall boxes and a bottom disc, drawn as a surface of revolution.
+
+    Lengths in m, mass in kg. handle: how far a handle of three capsules stands out, 0 for none.
+    """
     n = 12
     tilt = float(np.arctan2(r_top - r_bottom, height))
     slant = float(np.hypot(height, r_top - r_bottom))
@@ -151,16 +166,23 @@ def vessel(
         ]
     top, bottom = height / 2, -height / 2
     profile = [
-        (0, bottom), (r_bottom, bottom), (r_top, top),
-        (r_top - wall, top), (r_bottom - wall, bottom + wall), (0, bottom + wall),
-    ]  # fmt: skip
+        (0, bottom),
+        (r_bottom, bottom),
+        (r_top, top),
+        (r_top - wall, top),
+        (r_bottom - wall, bottom + wall),
+        (0, bottom + wall),
+    ]
     return ObjectModel(name, mass, tuple(parts), look, mesh=revolve(profile, 36))
 
 
 def stack(
     name: str, sections: list[tuple[float, float, float]], mass: float, look: Look
 ) -> ObjectModel:
-    """Bottle-like solid of elliptic sections (half width x, half width y, z), one convex hull between each two."""
+    """A bottle-like solid of elliptic sections, with one convex hull between each two.
+
+    sections: half width along x, half width along y, z, in m; mass in kg.
+    """
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     low, high = sections[0][2], sections[-1][2]
     rings = [
@@ -174,7 +196,10 @@ def stack(
 
 
 def revolve(profile: list[tuple[float, float]], n: int) -> tuple[Array, NDArray[np.int32]]:
-    """Closed surface of revolution of a profile (radius, z) from axis to axis: vertices (m, 3), faces (k, 3)."""
+    """Closed surface of revolution of a profile (radius, z) m from axis to axis.
+
+    Returns vertices (m, 3) m and faces (k, 3).
+    """
     import trimesh
 
     mesh = trimesh.creation.revolve(np.array(profile, dtype=float), sections=n)
@@ -182,7 +207,10 @@ def revolve(profile: list[tuple[float, float]], n: int) -> tuple[Array, NDArray[
 
 
 def ten_objects() -> dict[str, ObjectModel]:
-    """The ten objects of the dynamic-grasping paper (Table III) by size and mass, SIMULATION section 7; looks are ours."""
+    """The ten objects of the dynamic-grasping paper (Table III) by size and mass.
+
+    SIMULATION section 7 lists them. Looks are ours.
+    """
     bottle = [
         (0.047, 0.029, 0.0),
         (0.048, 0.029, 0.09),
@@ -209,9 +237,10 @@ def ten_objects() -> dict[str, ObjectModel]:
 
 
 def eight_objects() -> dict[str, ObjectModel]:
-    """The eight objects of VFAS-Grasp (Table I): bowl, cracker box, chips can, mug, mustard and can by the YCB set's sizes.
+    """The eight objects of VFAS-Grasp (Table I).
 
-    Bottle and small box: sizes are ours, the paper gives none. Looks are ours.
+    Bowl, cracker box, chips can, mug, mustard and can have the YCB set's sizes. The sizes of bottle
+    and small box are ours, since the paper gives none. Looks are ours.
     """
     mustard = ten_objects()["mustard_bottle"]
     bottle = [(0.033, 0.033, 0.0), (0.033, 0.033, 0.13), (0.014, 0.014, 0.17), (0.014, 0.014, 0.20)]
@@ -239,7 +268,10 @@ def eight_objects() -> dict[str, ObjectModel]:
 
 
 def procedural_object(index: int, seed: int = 0) -> ObjectModel:
-    """Object `index` of an endless training set: of random kind, size and mass (30 to 600 g), none within 2 mm of the ten."""
+    """Object `index` of an endless training set, of random kind, size and mass (30 to 600 g).
+
+    None has a size within 2 mm of one of the ten objects.
+    """
     rng = generator(seed, "procedural", index)
     tested = [np.sort(m.extent()) for m in ten_objects().values()]
     while True:
@@ -249,6 +281,7 @@ def procedural_object(index: int, seed: int = 0) -> ObjectModel:
 
 
 def _random_object(index: int, rng: np.random.Generator) -> ObjectModel:
+    """One object of a kind that follows from its index; ranges of sizes m and mass kg are ours."""
     kind = ("box", "cylinder", "ellipsoid", "capsule", "frustum", "prism", "bottle", "cup", "mug")[
         index % 9
     ]
@@ -303,17 +336,19 @@ def _random_object(index: int, rng: np.random.Generator) -> ObjectModel:
     )
 
 
-def add_object(spec: mujoco.MjSpec, model: ObjectModel, called: str = "object") -> mujoco.MjsBody:
-    """A free body with the model's parts; mass by volume over the parts, so that the total is right."""
-    body = spec.worldbody.add_body(name=called)
-    body.add_freejoint(name=called)
+def add_object(
+    spec: mujoco.MjSpec, model: ObjectModel, body_name: str = "object"
+) -> mujoco.MjsBody:
+    """A free body with the model's parts. Parts share the mass by volume, so the total is right."""
+    body = spec.worldbody.add_body(name=body_name)
+    body.add_freejoint(name=body_name)
     material = add_material(
-        spec, model.name if called == "object" else f"{called}_{model.name}", model.look
+        spec, model.name if body_name == "object" else f"{body_name}_{model.name}", model.look
     )
     volumes = [p.volume() for p in model.parts]
-    seen_group = OBJECT_GROUP if called == "object" else 0
+    visible_group = OBJECT_GROUP if body_name == "object" else 0
     for k, (part, volume) in enumerate(zip(model.parts, volumes, strict=True)):
-        name = f"{called}_{k}"
+        name = f"{body_name}_{k}"
         if part.kind == "hull":
             assert part.vertices is not None
             spec.add_mesh(name=name, uservert=part.vertices.astype(np.float32).ravel())
@@ -324,21 +359,21 @@ def add_object(spec: mujoco.MjSpec, model: ObjectModel, called: str = "object") 
         geom.mass = model.mass * volume / sum(volumes)
         geom.contype, geom.conaffinity = 1, 3
         geom.condim = 6 if model.rolls else 4
+        # friction: sliding, torsional m, rolling m; solref: time constant s, damping ratio; ours
         geom.friction = [0.6, 0.005, 0.001 if model.rolls else 0.0001]
         geom.solref = [0.02, 1] if model.soft else [0.008, 1]
         geom.material = material
-        geom.group = (
-            seen_group if model.mesh is None else 3
-        )  # the hulls of a drawn mesh are not drawn
+        # the hulls of a drawn mesh are not drawn
+        geom.group = visible_group if model.mesh is None else 3
     if model.mesh is not None:
         vertices, faces = model.mesh
         mesh = spec.add_mesh(
-            name=f"{called}_seen",
+            name=f"{body_name}_seen",
             uservert=vertices.astype(np.float32).ravel(),
             userface=faces.ravel(),
         )
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        shown = [body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{called}_seen")]
+        shown = [body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{body_name}_seen")]
         for part in model.parts:
             if part.kind == "capsule":  # a handle is not part of the surface of revolution
                 shown.append(body.add_geom(type=GEOM["capsule"], size=[*part.size, 0]))
@@ -349,39 +384,39 @@ def add_object(spec: mujoco.MjSpec, model: ObjectModel, called: str = "object") 
                 0,
                 0,
                 material,
-                seen_group,
+                visible_group,
             )
     return body
 
 
 def surface_points(model: ObjectModel, n: int, rng: np.random.Generator) -> Array:
-    """Points (n, 3) m on what is seen of the object, uniform by area, object frame."""
+    """Points (n, 3) m on the drawn surface of the object, uniform by area, object frame."""
     import trimesh
 
     solids = [_part_mesh(p) for p in model.parts if model.mesh is None or p.kind == "capsule"]
     walls = [] if model.mesh is None else [trimesh.Trimesh(*model.mesh, process=False)]
     mesh = trimesh.util.concatenate([*solids, *walls])
     areas = np.cumsum(mesh.area_faces)
-    found: list[Array] = []
-    while sum(map(len, found)) < n:
+    batches: list[Array] = []
+    while sum(map(len, batches)) < n:
         k = np.searchsorted(areas, rng.random(n) * areas[-1])
         u, v = rng.random((2, n, 1))
         flip = u + v > 1
         u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
         t = mesh.triangles[k]
         points = t[:, 0] + u * (t[:, 1] - t[:, 0]) + v * (t[:, 2] - t[:, 0])
-        outside = (
-            points + 1e-5 * mesh.face_normals[k]
-        )  # a step off the surface: within another part, nobody sees it
+        # a step of 10 um off the surface: if it is within another part, no camera sees the point
+        outside = points + 1e-5 * mesh.face_normals[k]
         hidden = np.zeros(n, bool)
         for solid in solids if len(solids) > 1 or walls else []:
             reach = (solid.face_normals * solid.triangles[:, 0]).sum(axis=1)
             hidden |= (outside @ solid.face_normals.T <= reach).all(axis=1)
-        found.append(points[~hidden])
-    return np.concatenate(found)[:n]
+        batches.append(points[~hidden])
+    return np.concatenate(batches)[:n]
 
 
 def _part_mesh(part: Part):  # type: ignore[no-untyped-def]
+    """A part's surface as a triangle mesh in the object frame."""
     import trimesh
 
     s = part.size

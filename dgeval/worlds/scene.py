@@ -1,4 +1,7 @@
-"""A world: floor, belt, one object, and the robot or the hand alone. Base frame: z up, the belt's surface at z = 0."""
+"""A world: floor, belt, one object, and the robot or the hand alone.
+
+Base frame: z up, the belt's surface at z = 0.
+"""
 
 from __future__ import annotations
 
@@ -17,22 +20,23 @@ from dgeval.worlds.objects import ObjectModel, add_object
 from dgeval.worlds.presenter import add_presenter
 from dgeval.worlds.textures import add_ground
 
-BELT_CENTRE, BELT_HALF = (0.50, 0.0), (0.22, 0.95)  # m; it runs along y
-FLOOR = -0.60  # m
-TURNTABLE_CENTRE, TURNTABLE_RADIUS, TURNTABLE_HEIGHT = (0.50, 0.0), 0.20, 0.02  # m
-TURNTABLE_TOP = TURNTABLE_HEIGHT + 0.001  # m; it stands clear of the belt
-BELT_GROUP = 1  # of what is seen: a renderer may draw the belt apart from the floor
-TIMESTEP = (
-    0.002  # s; at 4 ms and more grasps that hold at 1 ms begin to slip (SIMULATION section 4)
-)
-OPTICAL = np.diag(
-    [1.0, -1.0, -1.0, 1.0]
-)  # MuJoCo's camera looks along -z with y up, the optical frame along +z
+# Places and sizes, m, base frame; ours.
+BELT_CENTRE, BELT_HALF = (0.50, 0.0), (0.22, 0.95)  # x, y; the belt runs along y
+FLOOR = -0.60  # z
+# The turntable's disc; docs/simulation.md says what it stands for.
+TURNTABLE_CENTRE, TURNTABLE_RADIUS, TURNTABLE_HEIGHT = (0.50, 0.0), 0.20, 0.02
+TURNTABLE_TOP = TURNTABLE_HEIGHT + 0.001  # z; it stands clear of the belt
+BELT_GROUP = 1  # MuJoCo's geom group of the belt, so that it can be drawn apart from the floor
+# s. At 4 ms and more, grasps that hold at 1 ms begin to slip (SIMULATION section 4);
+# measured by `python -m benchmarks.contact_settings`.
+TIMESTEP = 0.002
+# MuJoCo's camera looks along -z with y up; the optical frame looks along +z with y down.
+OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A camera fixed to hand_base: T_hand_camera of its optical frame."""
+    """A camera fixed to hand_base; T_hand_camera (4, 4) of its optical frame."""
 
     name: str
     intrinsics: Intrinsics
@@ -40,7 +44,7 @@ class Camera:
 
 
 def build(
-    thing: ObjectModel,
+    target: ObjectModel,
     belt_speed: float = 0.0,
     robot: Literal["arm", "hand", "none"] = "arm",
     cameras: tuple[Camera, ...] = (),
@@ -49,9 +53,12 @@ def build(
     others: tuple[ObjectModel, ...] = (),
     turntable: bool = False,
 ) -> mujoco.MjModel:
-    """Compile a world. belt_speed m/s along +y (sign gives the direction); `hand` hangs on a mocap body, `none` is no robot.
+    """Compile a world.
 
-    presented: a person's hand holds the object. gripper: the hand on arm or mocap body. others: more objects, bodies `other_0`, …; turntable: a disc that turns.
+    belt_speed m/s along +y; its sign gives the direction. robot: `arm` for the hand on its arm,
+    `hand` for the hand on a mocap body, `none` for no robot. gripper: the hand; ValueError if a
+    robot has none. presented: a person's hand holds the object. others: more objects, bodies
+    `other_0`, …; turntable: a disc that turns.
     """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -61,7 +68,7 @@ def build(
         mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
         mujoco.mjtCone.mjCONE_ELLIPTIC,
     )
-    o.impratio = 10
+    o.impratio = 10  # measured by contact_settings too, as the cone and the time step
     spec.stat.extent, spec.stat.center = 1.0, [0.5, 0, 0]
     spec.visual.map.znear, spec.visual.map.zfar = 0.01, 6.0
     spec.visual.quality.offsamples = 0
@@ -91,14 +98,15 @@ def build(
     belt.surfacevel = [0, belt_speed, 0, 0, 0, 0]
     for ground in (floor, belt):
         ground.contype, ground.conaffinity, ground.condim = 1, 3, 4
+        # sliding, torsional m, rolling m; time constant s, damping ratio; ours
         ground.friction, ground.solref = [0.6, 0.005, 0.0001], [0.008, 1]
-    add_object(spec, thing)
+    add_object(spec, target)
     for index, other in enumerate(others):
         add_object(spec, other, f"other_{index}")
     if turntable:
         _add_turntable(spec)
     if presented:
-        add_presenter(spec, thing.extent())
+        add_presenter(spec, target.extent())
     if robot != "none" and gripper is None:
         raise ValueError(f"a world with robot {robot!r} needs a hand")
     if robot == "arm" and gripper is not None:
@@ -107,17 +115,17 @@ def build(
         gripper.add(spec, _add_flying_base(spec))
         _weld_to_handle(spec)
     for camera in cameras:
-        seen = spec.body("hand_base").add_camera(name=camera.name)
+        mounted = spec.body("hand_base").add_camera(name=camera.name)
         k = camera.intrinsics
-        place(seen, camera.T_hand_camera @ OPTICAL)
-        seen.fovy = 2 * np.arctan(k.height / 2 / k.fy)
+        place(mounted, camera.T_hand_camera @ OPTICAL)
+        mounted.fovy = 2 * np.arctan(k.height / 2 / k.fy)
         if not spec.compiler.degree:
-            seen.fovy = np.degrees(seen.fovy)
+            mounted.fovy = np.degrees(mounted.fovy)
     return spec.compile()
 
 
 def _add_turntable(spec: mujoco.MjSpec) -> None:
-    """A disc on the table that a drive of speed turns about its axis."""
+    """A disc on the table that a velocity drive turns about its axis."""
     disc = spec.worldbody.add_body(
         name="turntable", pos=[*TURNTABLE_CENTRE, TURNTABLE_TOP - TURNTABLE_HEIGHT / 2], gravcomp=1
     )
@@ -137,7 +145,7 @@ def _add_turntable(spec: mujoco.MjSpec) -> None:
 
 
 def _add_flying_base(spec: mujoco.MjSpec) -> mujoco.MjsBody:
-    """`hand_base` on its own, and the mocap body `handle` that it will follow."""
+    """`hand_base` on its own, and the mocap body `handle` that it follows."""
     handle = spec.worldbody.add_body(name="handle", mocap=True)
     handle.add_site(name="handle", size=[0.002] * 3, group=4)
     hand = spec.worldbody.add_body(name="hand_base")
@@ -154,13 +162,13 @@ def _add_flying_base(spec: mujoco.MjSpec) -> mujoco.MjsBody:
 
 
 def _weld_to_handle(spec: mujoco.MjSpec) -> None:
-    """The hand is drawn after its handle softly (SIMULATION section 1)."""
+    """A soft weld draws the hand after its handle (SIMULATION section 1)."""
     weld = spec.add_equality(
         type=mujoco.mjtEq.mjEQ_WELD,
         name1="handle",
         name2="hand_base",
         objtype=mujoco.mjtObj.mjOBJ_BODY,
-        solref=[0.01, 1],
+        solref=[0.01, 1],  # s, damping ratio; ours
     )
     data = np.zeros(len(weld.data))
     data[6], data[10] = 1.0, 0.3  # identity relative rotation, torque scale
@@ -170,14 +178,14 @@ def _weld_to_handle(spec: mujoco.MjSpec) -> None:
 def least_distance(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    ours: Sequence[int],
-    theirs: Sequence[int],
+    geoms_a: Sequence[int],
+    geoms_b: Sequence[int],
     limit: float,
 ) -> float:
     """Least distance between two groups of geoms, m, at most `limit`."""
     best = limit
-    for a in ours:
-        for b in theirs:
+    for a in geoms_a:
+        for b in geoms_b:
             gap = (
                 np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b])
                 - model.geom_rbound[a]
@@ -191,7 +199,10 @@ def least_distance(
 def finger_forces(
     model: mujoco.MjModel, data: mujoco.MjData, names: dict[int, str], fingers: Sequence[str]
 ) -> Array:
-    """Sum of normal contact forces on each finger, N; names: of the hand's geoms, whose first word is their finger."""
+    """Sum of normal contact forces on each finger, (k,) N.
+
+    names: of the hand's geoms by id; the part before the first "_" is their finger.
+    """
     out = np.zeros(len(fingers))
     force = np.zeros(6)
     for k in range(data.ncon):

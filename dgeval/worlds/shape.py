@@ -1,8 +1,9 @@
 """A solid from a partial cloud, for physics: what stands on its support is filled down to it.
 
-A camera over a table sees tops and some sides. Beneath what it sees stands the object, so points are carried down to the
-support. Round things would become cylinders that way, so a ball is tried first, then a box, whose edges a hull would round;
-hollow things would be closed by a hull, so where points lie deep inside the hull it is a round vessel, or made of columns.
+A camera over a table sees tops and some sides of an object. The object stands beneath what is seen,
+so points are carried down to the support. That would turn round objects into cylinders, so a ball
+is tried first; then a box, whose edges a hull would round. A hull would close hollow objects; where
+points lie deep inside the hull, the solid is a round vessel or is made of columns.
 """
 
 from __future__ import annotations
@@ -17,43 +18,38 @@ from dgeval.geometry import Array
 from dgeval.worlds.objects import ObjectModel, Part, at, vessel
 from dgeval.worlds.textures import Look
 
-LOOK = Look("mottled", (150, 150, 150))
-DENSITY = 350.0  # kg/m^3, of the household objects in SIMULATION section 7 (70 to 900); unknown from a log
-MASS_RANGE = (0.03, 0.60)  # kg
-BALL_RMS, BALL_SHARE = (
-    0.002,
-    0.9,
-)  # m; residual of the best sphere, and share of points within three times that
-BOX_OFF, FACE_POINTS = (
-    0.0016,
-    12,
-)  # m; mean distance from the faces of the best upright box; points that place a face
-RIM, RIM_OFF, WALL, OUTSIDE = (
-    0.012,
-    0.005,
-    0.004,
-    0.007,
-)  # m; of vessels: the band that is fitted, how far from a circle
-SMOOTHED = 0.010  # m; neighbourhood of a plane: 1.2 mm of noise, as hindsight has it, leaves hulls 0.5 to 1 mm too large
-LEAST_POINTS = 20
-CELL, LIKE_HEIGHT = (
-    0.007,
-    0.008,
-)  # m; columns of hollow things, and heights that one column may stand for
-HOLLOW_DEPTH, HOLLOW_SHARE = (
-    0.010,
-    0.12,
-)  # m under the hull's top; share of the footprint's cells that are lower
+# All values are ours.
+LOOK = Look("mottled", (150, 150, 150))  # RGB, grey: the cloud has no colour
+# kg/m^3, of the household objects in SIMULATION section 7 (70 to 900); a log does not give it.
+DENSITY = 350.0
+MASS_RANGE = (0.03, 0.60)  # kg, to which the mass is clipped
+BALL_RMS = 0.002  # m, most RMS residual of a ball's best sphere
+BALL_SHARE = 0.9  # least share of a ball's points within three times BALL_RMS
+BOX_OFF = 0.0016  # m, most mean distance of the points from the faces of the best upright box
+FACE_POINTS = 12  # points that place a face, and that make a handle
+RIM = 0.012  # m, height of the band under a vessel's top to which a circle is fitted
+RIM_OFF = 0.005  # m, distance from the circle up to which points count
+WALL = 0.004  # m, thickness of a vessel's wall
+OUTSIDE = 0.007  # m outside a vessel's wall, from where on points are its handle
+# m, radius of the neighbourhood that a plane is fitted to. The 1.2 mm of noise that hindsight has
+# then leave hulls 0.5 to 1 mm too large.
+SMOOTHED = 0.010
+LEAST_POINTS = 20  # without as many points there is no shape
+CELL = 0.007  # m, side of the cells in which columns of hollow objects are built
+LIKE_HEIGHT = 0.008  # m, heights this near to each other become one column
+HOLLOW_DEPTH = 0.010  # m below the surface around it, from where on a cell lies inside
+HOLLOW_SHARE = 0.12  # least share of the footprint's cells that lie inside a hollow object
 
 
 def solid_from_cloud(
     points: Array, name: str = "cloud", held: bool = False
 ) -> tuple[ObjectModel, Array]:
-    """Model and centre (3,) from points (n, 3) m in a frame with z up from the support's surface (z = 0).
+    """Model and centre (3,) m from points (n, 3) m in a frame with z up from the support (z = 0).
 
-    The model's frame has these axes and its origin at the centre, which is over the support by the model's rest height.
-    ValueError where the points span no volume. held: nothing is known of what is below the lowest of them, they are not
-    carried down further.
+    The model's frame has the same axes and its origin at the centre, which is over the support by
+    the model's rest height. held: the object is in a hand; nothing is known of what is below the
+    lowest point, so points are not carried down further. ValueError where the points span no
+    volume.
     """
     if len(points) < LEAST_POINTS:
         raise ValueError(f"{len(points)} points of the object over its support have no shape")
@@ -90,10 +86,12 @@ def solid_from_cloud(
 
 
 def _mass(volume: float) -> float:
+    """Mass, kg, of a volume, m^3."""
     return float(np.clip(DENSITY * volume, *MASS_RANGE))
 
 
 def _corner(part: Part, sign: int) -> Array:
+    """Greatest (sign 1) or least (sign -1) coordinates (3,) m of a part."""
     return np.array([sign * -part.lowest(-sign * e) for e in np.eye(3)])
 
 
@@ -109,7 +107,10 @@ def _without_strays(points: Array) -> Array:
 
 
 def _smoothed(points: Array) -> Array:
-    """Points drawn onto planes through their neighbours: a hull of noisy points would be some 3 mm too large all round."""
+    """Points moved onto planes through their neighbours.
+
+    A hull of noisy points would be some 3 mm too large on every side.
+    """
     out = points.copy()
     tree = cKDTree(points)
     for i in range(len(points)):
@@ -124,7 +125,7 @@ def _smoothed(points: Array) -> Array:
 
 
 def _ball(points: Array) -> tuple[Array, float] | None:
-    """Centre and radius of a sphere that explains the points, or None."""
+    """Centre (3,) m and radius m of a sphere that explains the points, or None."""
     A = np.column_stack([2 * points, np.ones(len(points))])
     x, *_ = np.linalg.lstsq(A, (points**2).sum(axis=1), rcond=None)
     radius = float(np.sqrt(max(x[3] + x[:3] @ x[:3], 0.0)))
@@ -139,9 +140,10 @@ def _ball(points: Array) -> tuple[Array, float] | None:
 
 
 def _box(points: Array) -> tuple[Array, Array] | None:
-    """T (4, 4) and half sizes (3,) of an upright box on the support that explains the points, or None.
+    """T (4, 4) and half sizes (3,) m of an upright box on the support that explains the points.
 
-    A face lies where the middle of its points does: a hull of the same points has round edges, on which nothing is gripped.
+    None if no box does. A face lies at the median of its points: a hull of the same points has
+    round edges, on which no finger grips.
     """
     best: tuple[float, float, Array, Array] | None = None
     rectangle = np.radians(cv2.minAreaRect(points[:, :2].astype(np.float32))[2])
@@ -150,8 +152,15 @@ def _box(points: Array) -> tuple[Array, Array] | None:
         local = points @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         low, high = np.quantile(local, [0.01, 0.99], axis=0)
         for _ in range(3):
-            faces = np.stack([local[:, 0] - low[0], high[0] - local[:, 0], local[:, 1] - low[1], high[1] - local[:, 1],
-                              high[2] - local[:, 2]])  # fmt: skip
+            faces = np.stack(
+                [
+                    local[:, 0] - low[0],
+                    high[0] - local[:, 0],
+                    local[:, 1] - low[1],
+                    high[1] - local[:, 1],
+                    high[2] - local[:, 2],
+                ]
+            )
             nearest = np.abs(faces).argmin(axis=0)
             for k, (side, axis) in enumerate([(low, 0), (high, 0), (low, 1), (high, 1), (high, 2)]):
                 if (nearest == k).sum() >= FACE_POINTS:
@@ -179,6 +188,10 @@ def _turned(T: Array) -> Array:
 
 
 def _hull(points: Array) -> Part:
+    """The convex hull of the points and of their projection onto the support.
+
+    ValueError where they span no volume.
+    """
     down = points.copy()
     down[:, 2] = 0.0
     both = np.concatenate([points[points[:, 2] > 0], down])
@@ -191,15 +204,18 @@ def _hull(points: Array) -> Part:
         # MuJoCo needs no more; the farthest along many directions keep the shape
         k = np.arange(400) + 0.5
         polar, turn = np.arccos(1 - 2 * k / 400), np.pi * (1 + 5**0.5) * k
-        ways = np.column_stack(
+        directions = np.column_stack(
             [np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)]
         )
-        corners = corners[np.unique((corners @ ways.T).argmax(axis=0))]
+        corners = corners[np.unique((corners @ directions.T).argmax(axis=0))]
     return Part("hull", np.eye(4), vertices=corners)
 
 
 def _vessel(points: Array) -> tuple[Part, ...] | None:
-    """Walls of an open round vessel, its floor, and what stands out of it (a handle) as one hull; None of other shapes."""
+    """Walls and floor of an open round vessel, and what stands out of it (a handle) as one hull.
+
+    None of other shapes.
+    """
     height = float(np.quantile(points[:, 2], 0.98))
     rim = points[points[:, 2] > height - RIM]
     for _ in range(4):  # without the handle, which lies outside
@@ -234,36 +250,39 @@ def _vessel(points: Array) -> tuple[Part, ...] | None:
 
 
 def _columns(points: Array) -> tuple[Part, ...] | None:
-    """Boxes from the support up to the seen surface, joined along rows of similar height; None for what is not hollow."""
+    """Boxes from the support up to the observed surface, joined along rows of similar height.
+
+    None for an object that is not hollow.
+    """
     low = points[:, :2].min(axis=0)
     cells = np.floor((points[:, :2] - low) / CELL).astype(int)
     shape = cells.max(axis=0) + 1
     top = np.full(shape, -1.0)
     np.maximum.at(top, (cells[:, 0], cells[:, 1]), points[:, 2])
-    seen = top >= 0
-    # inside the footprint: cells enclosed by seen ones along both axes
+    observed = top >= 0
+    # inside the footprint: cells enclosed by observed ones along both axes
     inside = np.ones(shape, bool)
     for axis in (0, 1):
         before = np.maximum.accumulate(top, axis=axis)
         after = np.flip(np.maximum.accumulate(np.flip(top, axis), axis=axis), axis)
-        inside &= np.minimum(before, after) > np.where(seen, top, 0.0) + HOLLOW_DEPTH
-    if inside.sum() < HOLLOW_SHARE * (seen | inside).sum():
+        inside &= np.minimum(before, after) > np.where(observed, top, 0.0) + HOLLOW_DEPTH
+    if inside.sum() < HOLLOW_SHARE * (observed | inside).sum():
         return None
-    height = np.where(seen, top, 0.0)
-    height[inside & ~seen] = 0.005  # a floor that nobody saw
+    height = np.where(observed, top, 0.0)
+    height[inside & ~observed] = 0.005  # a floor that nobody saw
     parts: list[Part] = []
     free = height > 0.002
     for i in range(shape[0]):
         for j in range(shape[1]):
             if not free[i, j]:
                 continue
-            # the largest rectangle of like height, first along one axis, then along the other
-            like = free & (np.abs(height - height[i, j]) < LIKE_HEIGHT)
+            # the largest rectangle of similar height, first along one axis, then along the other
+            similar = free & (np.abs(height - height[i, j]) < LIKE_HEIGHT)
             b = j + 1
-            while b < shape[1] and like[i, b]:
+            while b < shape[1] and similar[i, b]:
                 b += 1
             a = i + 1
-            while a < shape[0] and like[a, j:b].all():
+            while a < shape[0] and similar[a, j:b].all():
                 a += 1
             free[i:a, j:b] = False
             h = float(height[i:a, j:b].mean())

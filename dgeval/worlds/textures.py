@@ -1,4 +1,4 @@
-"""What surfaces look like: made images with enough detail for a tracker, from the object's name alone."""
+"""Looks of surfaces: images made from the object's name alone, detailed enough for a tracker."""
 
 from __future__ import annotations
 
@@ -61,10 +61,10 @@ def face(name: str, look: Look, side: int) -> NDArray[np.uint8]:
             )
         for _ in range(7):
             at = (int(rng.integers(0, SIZE // 2)), int(rng.integers(20, SIZE)))
-            word = "".join(chr(int(c)) for c in rng.integers(65, 91, 6))
+            letters = "".join(chr(int(c)) for c in rng.integers(65, 91, 6))
             ink = [int(v) for v in rng.choice([15, 245], 1).repeat(3)]
             cv2.putText(
-                image, word, at, cv2.FONT_HERSHEY_SIMPLEX, float(rng.uniform(0.7, 1.5)), ink, 3
+                image, letters, at, cv2.FONT_HERSHEY_SIMPLEX, float(rng.uniform(0.7, 1.5)), ink, 3
             )
     speckle = cv2.GaussianBlur(
         rng.normal(0, 60 if look.style == "mottled" else 25, (SIZE, SIZE)), (0, 0), 2.0
@@ -94,9 +94,8 @@ def add_material(spec: mujoco.MjSpec, name: str, look: Look) -> str:
 def add_ground(spec: mujoco.MjSpec, name: str, colour: tuple[int, int, int]) -> str:
     """A speckled material for belt and floor."""
     rng = generator(0, f"texture/{name}", 0)
-    grain = cv2.GaussianBlur(
-        rng.normal(0, 20, (512, 512)), (0, 0), 1.5
-    )  # faint: the belt's picture stands still
+    # faint: the belt's texture does not move with the belt
+    grain = cv2.GaussianBlur(rng.normal(0, 20, (512, 512)), (0, 0), 1.5)
     image = np.clip(np.array(colour, dtype=float) + grain[:, :, None], 0, 255).astype(np.uint8)
     texture = spec.add_texture(
         name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=512, height=512, nchannel=3

@@ -1,4 +1,4 @@
-"""Catches: a hand that lacks what the rest of dgeval asks of it, or a place outside robots/ that knows a finger."""
+"""Catches: a hand that lacks what dgeval asks of it; code outside robots/ with a finger's name."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EACH = pytest.mark.parametrize("hand", hands(), ids=lambda h: h.name)
 
 
 def test_there_are_two_hands() -> None:
-    """Catches a file that is not found in the folder."""
+    """Catches a hand's file that is not read from the folder."""
     assert [h.name for h in hands()] == ["dlr_hit_hand", "parallel_jaw"]
 
 
@@ -54,7 +54,7 @@ def test_a_hand_is_complete(hand: Hand) -> None:
 
 @EACH
 def test_physics_and_description_of_a_hand_agree(hand: Hand) -> None:
-    """Catches a joint that is missing, or stands elsewhere, in the description or in the physics."""
+    """Catches a joint that is missing, or elsewhere, in the description or in the physics."""
     model = build(ten_objects()["apple"], robot="hand", gripper=hand)
     for joint in hand.joints:
         assert model.joint(joint).name == joint
@@ -68,7 +68,7 @@ def test_physics_and_description_of_a_hand_agree(hand: Hand) -> None:
 
 @EACH
 def test_a_closing_hand_gets_closed(hand: Hand) -> None:
-    """Catches a sign: the drives move monotonically towards closed."""
+    """Catches a wrong sign: the drives must move monotonically towards closed."""
     states = np.array([hand.targets(t, hand.open) for t in np.linspace(0, 1, 21)])
     steps = np.diff(states, axis=0)
     assert ((steps >= -1e-12).all(axis=0) | (steps <= 1e-12).all(axis=0)).all()
@@ -95,12 +95,14 @@ THIRD = '''
 from dataclasses import replace
 from dgeval.robots.parallel_jaw import HAND as JAW
 
-HAND = replace(JAW, name="claw", drives=("claw_left", "claw_right"), joints=("claw_left", "claw_right"))
+NAMES = ("claw_left", "claw_right")
+HAND = replace(JAW, name="claw", drives=NAMES, joints=NAMES)
 '''
 
 
 @pytest.fixture
 def forget() -> object:
+    """The table of hands is read anew before and after a test."""
     hands.cache_clear()
     yield
     hands.cache_clear()
@@ -108,21 +110,21 @@ def forget() -> object:
 
 @pytest.mark.usefixtures("forget")
 def test_a_third_hand_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a list of hands anywhere."""
+    """Catches a list of hands anywhere in the code: a new file alone must add a hand."""
     import dgeval.robots
 
     (tmp_path / "claw.py").write_text(THIRD)
     monkeypatch.setattr(dgeval.robots, "__path__", [*dgeval.robots.__path__, str(tmp_path)])
     assert [h.name for h in hands()] == ["claw", "dlr_hit_hand", "parallel_jaw"]
-    found = hand_of({"claw_left", "claw_right", "arm_1"})
-    assert found is not None
-    assert found.name == "claw"
+    third = hand_of({"claw_left", "claw_right", "arm_1"})
+    assert third is not None
+    assert third.name == "claw"
     sys.modules.pop("dgeval.robots.claw")
 
 
 @pytest.mark.usefixtures("forget")
 def test_a_third_hand_comes_from_an_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a package that is installed and not found."""
+    """Catches a hand of an installed package that is not listed."""
     module = ModuleType("claw")
     exec(THIRD, module.__dict__)
 
@@ -137,16 +139,17 @@ def test_a_third_hand_comes_from_an_entry_point(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_hand_that_is_not_there_is_named() -> None:
+    """Catches an error that does not name the hands there are."""
     with pytest.raises(KeyError, match="dlr_hit_hand, parallel_jaw"):
         hand_named("claw")
 
 
 def test_geoms_of_a_hand_meet_objects_alone() -> None:
-    """Catches a hand whose links push each other or that passes through the object."""
+    """Catches a hand whose links push each other, and one that passes through the object."""
     for hand in hands():
         model = build(ten_objects()["apple"], robot="hand", gripper=hand)
-        ours = [g for g in range(model.ngeom) if model.geom(g).contype[0] == 2]
-        assert ours
-        for g in ours:
+        hand_geoms = [g for g in range(model.ngeom) if model.geom(g).contype[0] == 2]
+        assert hand_geoms
+        for g in hand_geoms:
             assert model.geom_conaffinity[g] == 1
         assert mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "hand_base") > 0

@@ -20,7 +20,7 @@ from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, home, matrix_of, twin_path
 from dgeval.verdict.twin import Twin
 from dgeval.worlds.objects import ten_objects
-from dgeval.worlds.presenter import Presenter, drawn
+from dgeval.worlds.presenter import Presenter, draw_presenter
 from dgeval.worlds.shape import solid_from_cloud
 
 THINGS = ten_objects()
@@ -28,7 +28,7 @@ THINGS = ten_objects()
 
 def presenter(index: int = 0, tremor: float = 0.003) -> Presenter:
     rng = generator(0, "test presenter", index)
-    return drawn(
+    return draw_presenter(
         rng, THINGS["pudding_box"].extent(), 0.47, 0.0, 0.3, tremor, np.radians(1.5) * (tremor > 0)
     )
 

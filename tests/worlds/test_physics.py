@@ -1,7 +1,7 @@
-"""Physics against closed forms, the hand's and arm's published tables, and pinocchio (SIMULATION sections 1, 2, 4, 7).
+"""Physics against closed forms, the published tables of hand and arm, and pinocchio.
 
-Catches a sign, an axis, a unit, an order of rotations or a missing attribute in the MuJoCo models and the URDF made of the
-same tables.
+They are those of SIMULATION sections 1, 2, 4 and 7. Catches a sign, an axis, a unit, an order of
+rotations or a missing attribute in the MuJoCo models and in the URDF made of the same tables.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ TABLE_MM = {
     "foam_brick": (50, 75, 50),
     "rubiks_cube": (57, 57, 57),
 }
-# m in hand_base, SIMULATION section 2: fingertip at q = (0, 0, 0), and at (0, .6, .5) with the distal joint at .5 too
+# m in hand_base, SIMULATION section 2: fingertip at q = (0, 0, 0), and at (0, .6, .5) with the
+# distal joint at .5 too
 TIPS = {
     "thumb": ((0.1079, 0.0643, 0.1729), (0.0302, 0.0109, 0.1646)),
     "index": ((-0.0025, 0.0368, 0.2144), (0.0771, 0.0298, 0.1637)),
@@ -61,7 +62,8 @@ TIPS = {
     "ring": ((0.0, -0.0168, 0.2192), (0.0796, -0.0098, 0.1685)),
     "little": ((0.0010, -0.0434, 0.2002), (0.0797, -0.0295, 0.1495)),
 }
-# the Diana 7's joints, SIMULATION's last table: origin xyz in mm, roll and yaw in quarter turns (no pitch)
+# the Diana 7's joints, SIMULATION's last table: origin xyz in mm, roll and yaw in quarter turns
+# (no pitch)
 DIANA = [
     (0, 0, 285.6, -2, 0),
     (0, 0, 0, 1, 0),
@@ -74,11 +76,11 @@ DIANA = [
 PALM_R = [[0.2675, 0.1440, -0.9527], [0, 0.9888, 0.1494], [0.9636, -0.0400, 0.2645]]
 
 
-def on_belt(thing: ObjectModel, belt: float = 0.0, speed: float = 0.0, yaw: float = 0.0) -> tuple:
+def on_belt(target: ObjectModel, belt: float = 0.0, speed: float = 0.0, yaw: float = 0.0) -> tuple:
     """Model and data of the object alone, standing on a belt, at a speed along it."""
-    model = build(thing, belt, robot="none")
+    model = build(target, belt, robot="none")
     data = mujoco.MjData(model)
-    data.qpos[:] = [0.5, 0.0, thing.rest_height(), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+    data.qpos[:] = [0.5, 0.0, target.rest_height(), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
     data.qvel[1] = speed
     return model, data
 
@@ -121,7 +123,10 @@ def description() -> Description:
 
 
 def configurations(n: int, seed: int = 0) -> np.ndarray:
-    """Joint values (n, 27) within limits in the order of JOINTS, each distal finger joint as the one before it."""
+    """Joint values (n, 27) rad within limits, in the order of JOINTS.
+
+    Each distal finger joint has the value of the one before it.
+    """
     lower, upper = limits(arm_scene(), JOINTS)
     q = np.random.default_rng(seed).uniform(lower, upper, (n, len(JOINTS)))
     q[:, 10::4] = q[:, 9::4]
@@ -160,13 +165,15 @@ def test_belt_brings_an_object_to_its_speed(name: str, speed: float) -> None:
 def test_object_that_moves_with_the_belt_stays_with_it(name: str, speed: float) -> None:
     """Catches drag between object and belt, and a belt speed in another unit."""
     v = run(*on_belt(TEN[name], speed, speed), 0.8)
-    assert (
-        np.abs(v[15:, 1] / speed - 1).max() < 0.01
-    )  # 30 ms to settle: a kick of 6 mm/s where the cup's walls touch down
+    # 30 ms to settle: the cup gets a kick of 6 mm/s where its walls touch down
+    assert np.abs(v[15:, 1] / speed - 1).max() < 0.01
 
 
 def test_box_slips_on_the_belt_as_far_as_friction_says() -> None:
-    """Put on at rest it falls behind by v²/(2 mu g); catches a friction that is not that of the tables."""
+    """A box put on at rest falls behind by v²/(2 mu g).
+
+    Catches a friction that is not that of the tables.
+    """
     model, data = on_belt(box("slab", (80, 80, 20), 0.2, LOOK), 0.4)
     run(model, data, 0.5)
     assert 0.4 * data.time - data.qpos[1] == pytest.approx(0.4**2 / (2 * MU * G), rel=0.05)
@@ -174,12 +181,15 @@ def test_box_slips_on_the_belt_as_far_as_friction_says() -> None:
 
 @pytest.mark.parametrize("name", ["apple", "baseball"])
 def test_ball_on_the_belt_slips_then_rolls_then_is_braked_by_rolling_friction(name: str) -> None:
-    """A ball takes 2/7 of the belt's speed at once, the rest at 5/7 g mu_r / r; catches condim, inertia, friction's third."""
-    thing, belt, mu_r = TEN[name], 0.2, 0.001
+    """A ball takes 2/7 of the belt's speed at once, and the rest at 5/7 g mu_r / r.
+
+    Catches a wrong condim, inertia, or third number of the friction.
+    """
+    target, belt, mu_r = TEN[name], 0.2, 0.001
     slipping = 2 / 7 * belt / (MU * G)
-    v = run(*on_belt(thing, belt), 1.2)[:, 1]
+    v = run(*on_belt(target, belt), 1.2)[:, 1]
     for t in (0.1, 0.3, 0.5):
-        expected = 2 / 7 * belt + 5 / 7 * G * mu_r / thing.rest_height() * (t - slipping)
+        expected = 2 / 7 * belt + 5 / 7 * G * mu_r / target.rest_height() * (t - slipping)
         assert v[round(t / TIMESTEP) - 1] == pytest.approx(expected, rel=0.02)
     assert v[-1] == pytest.approx(belt, rel=0.01)
 
@@ -188,7 +198,10 @@ def test_ball_on_the_belt_slips_then_rolls_then_is_braked_by_rolling_friction(na
 
 
 def test_free_fall_is_the_integrators_parabola() -> None:
-    """z after n steps is -g dt² n (n + 1) / 2, exactly; catches time step, gravity, drag, gravity compensation."""
+    """After n steps z is -g dt² n (n + 1) / 2, exactly.
+
+    Catches a wrong time step or gravity, drag, and gravity compensation.
+    """
     model, data = on_belt(TEN["mug"])
     assert model.opt.timestep == TIMESTEP == 0.002  # at 4 ms and more grips slip
     data.qpos[:3] = [2.0, 0.0, 0.5]  # beside the belt
@@ -202,18 +215,20 @@ def test_free_fall_is_the_integrators_parabola() -> None:
     assert fallen[2] == pytest.approx(G * (n * TIMESTEP) ** 2 / 2, rel=0.01)
     assert data.qvel[2] == pytest.approx(-G * n * TIMESTEP, abs=1e-9)
     run(model, data, 0.6)
-    assert data.qpos[2] == pytest.approx(
-        -0.60 + TEN["mug"].rest_height(), abs=0.01
-    )  # and there is a floor
+    # and there is a floor
+    assert data.qpos[2] == pytest.approx(-0.60 + TEN["mug"].rest_height(), abs=0.01)
 
 
 @pytest.mark.parametrize("direction", [(0, 1), (0, -1), (1, 0)])
 def test_friction_cone(direction: tuple[int, int]) -> None:
-    """Below atan(mu) it stays, above it slides, in all directions alike; catches cone, mu, and which friction of two counts."""
+    """Below atan(mu) a slab stays, above it slides, in all directions alike.
+
+    Catches a wrong cone or mu, and the wrong one of two frictions.
+    """
     model, data = on_belt(box("slab", (80, 80, 20), 0.2, LOOK))
-    ground, thing = model.geom("belt"), model.geom("object_0")
-    assert ground.priority[0] == thing.priority[0]
-    mu = max(ground.friction[0], thing.friction[0])
+    ground, target = model.geom("belt"), model.geom("object_0")
+    assert ground.priority[0] == target.priority[0]
+    mu = max(ground.friction[0], target.friction[0])
     assert mu == MU
     for part, slides in ((0.93, False), (1.07, True), (1.2, True)):
         angle = part * np.arctan(mu)
@@ -242,7 +257,9 @@ def test_friction_cone(direction: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("robot", ["hand", "arm"])
 def test_coupled_joints_and_limits_while_the_hand_closes(robot: str) -> None:
-    """Catches a coupling of the wrong joint or ratio, limits in degrees, drives of the wrong sign, and a sagging arm."""
+    """Catches a coupling of the wrong joint or ratio, limits in degrees, drives of the wrong sign,
+    and an arm that sags.
+    """
     model = arm_scene() if robot == "arm" else hand_scene()
     data = mujoco.MjData(model)
     data.qpos[model.joint("object").qposadr[0]] = 2.0  # out of the way
@@ -270,7 +287,9 @@ def test_coupled_joints_and_limits_while_the_hand_closes(robot: str) -> None:
 
 
 def test_fingertips_and_palm_are_where_the_hands_tables_put_them() -> None:
-    """Catches a finger's mount, order of angles, axis or link length; and the palm frame of the grasps."""
+    """Catches a wrong mount of a finger, order of angles, axis or link length, and a wrong palm
+    frame.
+    """
     model = hand_scene()
     data = mujoco.MjData(model)
     free = model.joint("hand").qposadr[0]
@@ -286,7 +305,10 @@ def test_fingertips_and_palm_are_where_the_hands_tables_put_them() -> None:
 
 
 def test_solid_of_the_distal_link_ends_at_the_fingertip() -> None:
-    """Catches a fingertip that is a radius too long or too short: the outermost point of the capsule is the tip site."""
+    """The outermost point of the capsule is the tip site.
+
+    Catches a fingertip that is a radius too long or too short.
+    """
     model = hand_scene()
     for finger in hand.FINGERS:
         geom = model.geom(f"{finger}_3")
@@ -328,7 +350,10 @@ def test_palm_and_jacobian_against_pinocchio() -> None:
 
 
 def test_arm_is_the_diana_7() -> None:
-    """Catches a wrong entry in the table that physics and URDF share: the seven links composed by hand."""
+    """The seven links composed by hand.
+
+    Catches a wrong entry in the table that physics and URDF share.
+    """
     model = arm_scene()
     data = mujoco.MjData(model)
     for q in configurations(5, seed=6)[:, :7]:
@@ -365,7 +390,9 @@ def test_every_link_of_the_compiled_robot_against_pinocchio() -> None:
 
 
 def test_limits_are_those_of_the_tables_in_physics_and_urdf() -> None:
-    """Catches degrees read as radians, limits in another order, and an arm table that is not the Diana 7's."""
+    """Catches degrees read as radians, limits in another order, and an arm that
+    is not the Diana 7.
+    """
     model, lower, upper = urdf(), *limits(arm_scene(), JOINTS)
     joints = [model.joints[model.getJointId(n)] for n in JOINTS]
     index, speed = [j.idx_q for j in joints], [j.idx_v for j in joints]
@@ -398,15 +425,19 @@ def test_camera_in_the_urdf_is_where_it_was_calibrated() -> None:
     """Catches an inverted hand-eye transform."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_rotvec([0.3, -0.7, 1.1]).as_matrix(), (0.11, -0.04, -0.06)
-    found = load_description(robot_urdf(T, FIVE_FINGERS), "robot", (), 0.01).joints[
+    joint = load_description(robot_urdf(T, FIVE_FINGERS), "robot", (), 0.01).joints[
         "camera_color_optical_frame"
     ]
-    assert found.parent == "hand_base"
-    assert np.abs(found.at(0.0) - T).max() < 1e-8
+    assert joint.parent == "hand_base"
+    assert np.abs(joint.at(0.0) - T).max() < 1e-8
 
 
 def test_description_reads_the_urdf_with_its_mimic_joints() -> None:
-    """Catches mimic tags lost on the way: all 28 links chained by the product's own reader, the distal ones unread."""
+    """All 28 links chained by the product's own reader, with the distal joints left out of its
+    input.
+
+    Catches mimic tags that get lost.
+    """
     joints = description().joints
     assert not description().notes
     assert all(joints[f"{finger}_3"].follows == f"{finger}_2" for finger in hand.FINGERS)
@@ -424,7 +455,9 @@ def test_description_reads_the_urdf_with_its_mimic_joints() -> None:
 
 
 def test_description_has_the_solids_that_the_physics_has() -> None:
-    """Catches half and full lengths mixed up, a capsule laid along another axis, and a link without shape."""
+    """Catches half lengths for full ones, a capsule laid along another axis, and a link without
+    shape.
+    """
     model, shapes = arm_scene(), description().shapes
     for k, shape in enumerate(shapes["hand_base"]):
         geom = model.geom(f"palm_{k}")
@@ -449,7 +482,10 @@ def test_description_has_the_solids_that_the_physics_has() -> None:
 
 
 def test_solve_brings_the_palm_to_poses_it_can_reach() -> None:
-    """Catches an error in the wrong frame or a step the wrong way round; from one posture over the belt."""
+    """From one posture over the belt to poses near it.
+
+    Catches an error in the wrong frame, and a step of the wrong sign.
+    """
     kinematics, rng = ArmKinematics(FIVE_FINGERS.T_hand_palm), np.random.default_rng(0)
     for _ in range(20):
         goal = kinematics.palm(HOME + rng.uniform(-0.5, 0.5, 7))
@@ -462,14 +498,17 @@ def test_solve_brings_the_palm_to_poses_it_can_reach() -> None:
 
 
 def test_solve_owns_up_to_a_pose_out_of_reach() -> None:
-    """Catches a residual in another unit: a pose 3 m away leaves at least 1.5 m."""
+    """A pose 3 m away leaves an error of at least 1.5 m. Catches a residual in another unit."""
     goal = ArmKinematics(FIVE_FINGERS.T_hand_palm).palm(HOME)
     goal[0, 3] = 3.0
     assert ArmKinematics(FIVE_FINGERS.T_hand_palm).solve(goal, HOME, 50)[1] > 1.5
 
 
 def test_joint_velocity_gives_the_twist_demanded() -> None:
-    """Catches angular and linear parts swapped, or axes of the palm in place of the base; by differences of palm()."""
+    """The twist is measured by differences of palm().
+
+    Catches angular and linear parts swapped, and axes of the palm in place of the base.
+    """
     kinematics, rng = ArmKinematics(FIVE_FINGERS.T_hand_palm), np.random.default_rng(3)
     for _ in range(30):
         q = HOME + rng.uniform(-0.4, 0.4, 7)
@@ -481,7 +520,9 @@ def test_joint_velocity_gives_the_twist_demanded() -> None:
 
 
 def test_joint_velocity_keeps_speed_limits_and_direction() -> None:
-    """Catches a clipped joint, which bends the path, in place of a slower motion; and limits in another order."""
+    """Catches a clipped joint, which bends the path, where all should slow down; limits in wrong
+    order.
+    """
     kinematics, rng = ArmKinematics(FIVE_FINGERS.T_hand_palm), np.random.default_rng(4)
     fastest = np.zeros(7)
     for _ in range(60):
@@ -518,11 +559,13 @@ def test_joints_at_a_limit_do_not_move_further_out(joint: int) -> None:
 
 @pytest.mark.parametrize("name", TEN)
 def test_mass_extent_and_stand_of_the_ten(name: str) -> None:
-    """Catches a mass by overlapping parts, mm for m, a lying object, walls that lean, parts below the bottom."""
-    thing = TEN[name]
-    model, data = on_belt(thing, yaw=0.7)
-    assert model.body("object").mass[0] == pytest.approx(thing.mass, rel=1e-6)
-    size = 1e3 * thing.extent()
+    """Catches a mass counted twice in overlapping parts, mm for m, an object that lies, walls that
+    lean, and parts below the bottom.
+    """
+    target = TEN[name]
+    model, data = on_belt(target, yaw=0.7)
+    assert model.body("object").mass[0] == pytest.approx(target.mass, rel=1e-6)
+    size = 1e3 * target.extent()
     assert np.abs([*np.sort(size[:2]), size[2]] - np.array(TABLE_MM[name])).max() <= 1.0 + 1e-6
     start = data.qpos.copy()
     run(model, data, 1.0)
@@ -531,11 +574,11 @@ def test_mass_extent_and_stand_of_the_ten(name: str) -> None:
         Rotation.from_quat(data.qpos[3:7], scalar_first=True)
         * Rotation.from_quat(start[3:7], scalar_first=True).inv()
     )
-    assert np.degrees(turn.magnitude()) < (5.0 if thing.rolls else 1.0)
+    assert np.degrees(turn.magnitude()) < (5.0 if target.rolls else 1.0)
 
 
 def test_walls_of_a_vessel_lean_outwards_all_round() -> None:
-    """Catches rotations composed in the wrong order: walls that all lean the same way instead of from the axis."""
+    """Catches rotations composed in the wrong order: all walls would lean in one direction."""
     walls = [p for p in TEN["cup"].parts if p.kind == "box"]
     top = [(p.T_object_part @ [0, 0, p.size[2], 1])[:2] for p in walls]
     bottom = [(p.T_object_part @ [0, 0, -p.size[2], 1])[:2] for p in walls]
@@ -544,16 +587,16 @@ def test_walls_of_a_vessel_lean_outwards_all_round() -> None:
     )
 
 
-def compiled(thing: ObjectModel) -> mujoco.MjModel:
+def compiled(target: ObjectModel) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    add_object(spec, thing)
+    add_object(spec, target)
     return spec.compile()
 
 
-def facts(thing: ObjectModel) -> list[float]:
-    numbers = [thing.mass, *thing.look.colour]
-    for p in thing.parts:
+def facts(target: ObjectModel) -> list[float]:
+    numbers = [target.mass, *target.look.colour]
+    for p in target.parts:
         numbers += [
             *p.size,
             *p.T_object_part.ravel(),
@@ -562,33 +605,38 @@ def facts(thing: ObjectModel) -> list[float]:
     return numbers
 
 
-def like_one_of_the_ten(thing: ObjectModel) -> list[str]:
+def like_one_of_the_ten(target: ObjectModel) -> list[str]:
     return [
         n
         for n, t in TEN.items()
-        if np.abs(np.sort(t.extent()) - np.sort(thing.extent())).max() < 2e-3
+        if np.abs(np.sort(t.extent()) - np.sort(target.extent())).max() < 2e-3
     ]
 
 
 def test_procedural_objects_compile_within_bounds_and_repeat() -> None:
-    """Catches a degenerate hull, a mass in grams, a size out of reach, and a draw that depends on the draws before."""
+    """Catches a degenerate hull, a mass in grams, a size out of reach, and a draw that depends on
+    earlier draws.
+    """
     made = [procedural_object(k) for k in range(60)]
     assert len({m.name for m in made}) == 60
     assert not {m.name for m in made} & set(TEN)
-    for k, thing in enumerate(made):
-        body = compiled(thing).body("object")
-        assert body.mass[0] == pytest.approx(thing.mass, rel=1e-6)
+    for k, target in enumerate(made):
+        body = compiled(target).body("object")
+        assert body.mass[0] == pytest.approx(target.mass, rel=1e-6)
         assert (body.inertia > 0).all()
-        assert 0.03 <= thing.mass <= 0.6
-        assert thing.extent().min() > 0.020
-        assert thing.extent().max() < 0.260
-        assert facts(procedural_object(k)) == facts(thing)
+        assert 0.03 <= target.mass <= 0.6
+        assert target.extent().min() > 0.020
+        assert target.extent().max() < 0.260
+        assert facts(procedural_object(k)) == facts(target)
     assert len({tuple(facts(m)[:4]) for m in made}) == 60
     assert facts(procedural_object(0, seed=1)) != facts(made[0])
 
 
 def test_no_procedural_object_has_the_size_of_one_of_the_ten() -> None:
-    """Catches training on what is held out: extents within 2 mm in all three dimensions, whichever way up."""
+    """Extents are compared to 2 mm in all three dimensions, whichever way up.
+
+    Catches training on objects that are held out.
+    """
     assert [like_one_of_the_ten(procedural_object(k)) for k in range(60)] == [[]] * 60
 
 
@@ -596,7 +644,9 @@ def test_no_procedural_object_has_the_size_of_one_of_the_ten() -> None:
 
 
 def test_surface_points_of_a_box_are_on_it_and_uniform_by_area() -> None:
-    """Catches points picked by triangle in place of area, and half a triangle left out or overshot."""
+    """Catches points drawn by triangle instead of by area, and half a triangle left out or
+    overshot.
+    """
     n, half = 6000, np.array([0.019, 0.0445, 0.0875])
     points = surface_points(TEN["sugar_box"], n, np.random.default_rng(0))
     assert points.shape == (n, 3)
@@ -614,7 +664,10 @@ def test_surface_points_of_a_box_are_on_it_and_uniform_by_area() -> None:
 
 
 def test_surface_points_of_a_sphere_are_on_it_all_round() -> None:
-    """Catches radius for diameter and a half sphere; the sphere is a fine mesh, within .5 mm of round."""
+    """The sphere is a fine mesh, within 0.5 mm of round.
+
+    Catches radius for diameter, and half a sphere.
+    """
     n = 4000
     points = surface_points(ball("ball", 0.06, 0.1, LOOK), n, np.random.default_rng(0))
     r = np.linalg.norm(points, axis=1)
@@ -639,9 +692,9 @@ def test_surface_points_fill_the_extent_of_the_mug() -> None:
 
 def test_surface_points_are_not_inside_the_object() -> None:
     """Catches points where two parts of an object meet, which no camera sees."""
-    thing = TEN["mustard_bottle"]
-    points = surface_points(thing, 2000, np.random.default_rng(0))
-    hulls = [ConvexHull(p.vertices).equations for p in thing.parts]
+    target = TEN["mustard_bottle"]
+    points = surface_points(target, 2000, np.random.default_rng(0))
+    hulls = [ConvexHull(p.vertices).equations for p in target.parts]
     inside = [(points @ h[:, :3].T + h[:, 3]).max(1) < 1e-9 for h in hulls]
     assert np.mean(np.sum(inside, axis=0) > 1) < 0.01
 
@@ -652,17 +705,19 @@ def test_surface_points_are_not_inside_the_object() -> None:
 def closing(model: mujoco.MjModel) -> mujoco.MjData:
     """The hand over a cube on a moving belt, fingers down, about to close on it."""
     data = mujoco.MjData(model)
-    free, thing = model.joint("hand").qposadr[0], model.joint("object").qposadr[0]
+    free, target = model.joint("hand").qposadr[0], model.joint("object").qposadr[0]
     place = [0.445, -0.012, 0.2, 0, 1, 0, 0]
     data.qpos[free : free + 7] = place
     data.mocap_pos[0], data.mocap_quat[0] = place[:3], place[3:]
-    data.qpos[thing : thing + 7] = [0.5, -0.02, 0.0285, 1, 0, 0, 0]
+    data.qpos[target : target + 7] = [0.5, -0.02, 0.0285, 1, 0, 0, 0]
     data.ctrl[:] = hand.CLOSED
     return data
 
 
 def test_two_builds_and_a_restored_state_run_bit_equal() -> None:
-    """Catches random textures that reach the physics, a warm start left out of the state, and an unset seed."""
+    """Catches random textures that reach the physics, a warm start left out of the state, and a
+    seed that is not set.
+    """
     finals, touching = [], 0
     for _ in range(2):
         model = build(TEN["rubiks_cube"], 0.1, robot="hand", gripper=FIVE_FINGERS)
