@@ -1,0 +1,32 @@
+"""Catches: a page of the architecture that names a file, function or package that is not there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+WALK = PAGE.split("## From `dgeval replay`")[1]
+
+
+def test_files_and_functions_of_the_walk_exist() -> None:
+    files = [ROOT / name for name in re.findall(r"`(dgeval/[\w/]+\.py)`", WALK)]
+    assert len(files) >= 10
+    code = "\n".join(f.read_text(encoding="utf-8") for f in files)
+    names = [n for n in re.findall(r"`(\w+)`", WALK) if n not in ("dgeval",)]
+    for name in names:
+        assert re.search(rf"^(def|class) {name}\b|^{name}\b", code, re.MULTILINE), name
+
+
+def test_every_package_is_described() -> None:
+    for path in sorted((ROOT / "dgeval").iterdir()):
+        if path.name.startswith("_") or path.suffix not in ("", ".py"):
+            continue
+        name = path.name if path.name != "api.py" else "api"
+        assert f"`{name}`" in PAGE, name
+
+
+def test_the_walk_is_read_in_a_minute() -> None:
+    """At 230 words a minute."""
+    assert len(WALK.split()) < 230
