@@ -1008,10 +1008,11 @@ def parse_definitions_once() -> None:
     from functools import cache
 
     import rosbags.highlevel.anyreader as anyreader
-    from dgeval.recording.encodings import DECODERS
+    from dgeval.recording.encodings import decoders
 
-    for key, make in list(DECODERS.items()):
-        DECODERS[key] = cache(make)
+    known = decoders()
+    for key, make in list(known.items()):
+        known[key] = cache(make)
     anyreader.get_types_from_msg = cache(anyreader.get_types_from_msg)
 
 
