@@ -100,7 +100,7 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     plan = run.plan
     end = run.close if run.close is not None else len(run.ticks) - 1
     path = twin_path(
-        world.thing,
+        world.target,
         plan.speed,
         plan.x,
         plan.y,
@@ -145,9 +145,9 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     # what it looks like: a cloud that is turned a little about its own middle
     turn = np.radians(rng.normal(0, TURN_DEG))
     R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    points = surface_points(world.thing, 1500, rng) @ (R @ T_end[:3, :3]).T + T_end[:3, 3]
+    points = surface_points(world.target, 1500, rng) @ (R @ T_end[:3, :3]).T + T_end[:3, 3]
     points = points[
-        points[:, 2] > (T_end[2, 3] - world.thing.extent()[2] / 2 + HIDDEN_M if held else 0.006)
+        points[:, 2] > (T_end[2, 3] - world.target.extent()[2] / 2 + HIDDEN_M if held else 0.006)
     ]
     points = points + rng.normal(0, CLOUD_M, points.shape)
     points += place + drift

@@ -23,7 +23,7 @@ from dgeval.geometry import Array, invert, transform
 from dgeval.planning.vfas.selection import perturbed
 from dgeval.robots.hand import hand_for
 from dgeval.simulation.jaw_grasps import FlyingJaw, between_fingers, seed_pose
-from dgeval.simulation.render import Eyes
+from dgeval.simulation.render import Renderer
 from dgeval.simulation.sensors import D405, depth_intrinsics
 from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_points
 from dgeval.worlds.scene import Camera, pose_of
@@ -59,7 +59,7 @@ class Scene:
 
 
 def view(
-    world: FlyingJaw, eyes: Eyes, T_base_seed: Array, rng: np.random.Generator
+    world: FlyingJaw, renderer: Renderer, T_base_seed: Array, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """What the camera sees from about the pre-grasp pose: points (n, 3) in the seed's frame, grazing, table."""
     moved = perturbed(T_base_seed[None], np.array([0.03] * 3), np.radians(8), rng)[0] @ at(
@@ -68,7 +68,7 @@ def view(
     world.put(moved)
     mujoco.mj_camlight(world.model, world.data)
     k = CAMERAS[0].intrinsics
-    depth = eyes.exact_depth("depth").astype(float)
+    depth = renderer.exact_depth("depth").astype(float)
     v, u = np.indices(depth.shape)
     camera = k.backproject(u.ravel(), v.ravel(), depth.ravel()).reshape(*depth.shape, 3)
     normal = np.cross(np.gradient(camera, axis=1), np.gradient(camera, axis=0))
@@ -78,7 +78,7 @@ def view(
     T_base_camera = pose_of(world.data, "hand_base") @ HAND.T_hand_camera
     base = transform(T_base_camera, camera.reshape(-1, 3))
     local = transform(invert(T_base_seed), base)
-    own = eyes.mask_of(np.flatnonzero(world.is_hand).tolist()).ravel()
+    own = renderer.mask_of(np.flatnonzero(world.is_hand).tolist()).ravel()
     kept = np.flatnonzero(
         (depth.ravel() > D405.min_range) & (np.abs(local).max(axis=1) < NEAR) & ~own
     )
@@ -94,7 +94,7 @@ def scenes_of(
     world = FlyingJaw(thing, other, CAMERAS)
     surface = surface_points(thing, 6000, generator(seed, f"jaw surface/{thing.name}", 0))
     T_base_object = at(0.5, 0, thing.rest_height())
-    with Eyes(world, (CAMERAS[0], CAMERAS[1]), D405, seed, 0) as eyes:
+    with Renderer(world, (CAMERAS[0], CAMERAS[1]), D405, seed, 0) as renderer:
         for k in range(60 * seeds):
             if len(out) == seeds:
                 break
@@ -114,7 +114,7 @@ def scenes_of(
                 continue
             T_base_seed = T_base_object @ T_object_seed
             # most poses drawn overlap or fail: enough of the like come from moving good ones
-            if not all(world.free_way(T_base_seed)) and rng.random() < 0.97:
+            if not all(world.approach_free(T_base_seed)) and rng.random() < 0.97:
                 continue
             world.put(T_base_seed)
             if not world.lifts() and rng.random() < 0.8:
@@ -133,12 +133,12 @@ def scenes_of(
             )
             held, table_hit = np.zeros(per_seed, bool), np.zeros(per_seed, bool)
             for i, T in enumerate(poses):
-                free, over_table = world.free_way(T)
+                free, over_table = world.approach_free(T)
                 table_hit[i] = not over_table
                 if free and over_table and between_fingers(surface, invert(T) @ T_base_object) > 3:
                     world.put(T)
                     held[i] = world.lifts()
-            points, grazing, table = view(world, eyes, T_base_seed, rng)
+            points, grazing, table = view(world, renderer, T_base_seed, rng)
             if len(points) >= 200:
                 out.append(
                     Scene(

@@ -35,7 +35,7 @@ from dgeval.robots.diana7 import LOWER, UPPER, ArmKinematics
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.robots.dlr_hit_hand import T_hand_camera
 from dgeval.robots.urdf import robot_urdf
-from dgeval.simulation.perception import Sight
+from dgeval.simulation.perception import PerceivedObject
 from dgeval.simulation.proposals import FFHNetGrasps
 from dgeval.simulation.scenario import load_scenario
 from dgeval.training.ship import export
@@ -423,7 +423,7 @@ def test_upright_grasps_do_not_turn_with_the_camera(upright: bool) -> None:
         ).as_matrix()
         T_base_camera[:3, 3] = (0.5, 0.1, 0.5)
         proposals = source.propose(
-            0, Sight(T_base_object, cloud), T_base_object, T_base_camera, None
+            0, PerceivedObject(T_base_object, cloud), T_base_object, T_base_camera, None
         )
         assert proposals is not None
         free = proposals.free(np.arange(len(proposals.scores)))
