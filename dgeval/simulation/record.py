@@ -30,7 +30,6 @@ from dgeval.recording.write import (
     twist_stamped,
 )
 from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
-from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.robots.urdf import CAMERA_FRAME, robot_urdf
 from dgeval.simulation.render import Renderer
 from dgeval.simulation.scenario import Scenario
@@ -38,7 +37,7 @@ from dgeval.simulation.seeing import Images, encode
 from dgeval.simulation.trial import FrameBelief, Run
 from dgeval.simulation.truth import Truth
 from dgeval.simulation.world import World, matrix_of
-from dgeval.worlds.closing import CONTROL_S, SETTLE_S
+from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
 from dgeval.worlds.objects import surface_points
 
 START_NS = 1_800_000_000_000_000_000  # ns, time stamp of every recording's first message; ours

@@ -14,10 +14,10 @@ import numpy as np
 from dgeval.geometry import Array, transform
 from dgeval.robots.diana7 import DAMPING, STIFFNESS, ArmKinematics
 from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
-from dgeval.robots.dlr_hit_hand import CLOSE_S
 from dgeval.robots.hand import Hand
 from dgeval.simulation.setting import Setting, present
 from dgeval.worlds.closing import (
+    CLOSE_S,
     CONTROL_S,
     LIFT_S,
     SETTLE_S,
