@@ -27,11 +27,11 @@ def lifted(cone: str, impratio: float, step: float) -> tuple[int, int]:
     """How many of the known grasps lift their object with these settings, and of how many."""
     grasps.TIMESTEP = step  # type: ignore[misc]
     good = tried = 0
-    for thing in ten_objects().values():
-        world = grasps.FlyingHand(thing)
+    for target in ten_objects().values():
+        world = grasps.FlyingHand(target)
         option = world.model.opt
         option.timestep, option.impratio, option.cone = step, impratio, CONES[cone]
-        for grasp in grasps.known_grasps(thing)[:EACH]:
+        for grasp in grasps.known_grasps(target)[:EACH]:
             world.put_palm(grasp.T_object_palm, grasp.preshape)
             good += world.lifts(grasp.preshape)
             tried += 1

@@ -1,9 +1,11 @@
-"""Verdicts against the truth, over simulated failures that set nothing: `python -m benchmarks.verdict [OPTIONS]`.
+"""Verdicts against the truth, over simulated failures that set nothing:
+`python -m benchmarks.verdict [OPTIONS]`.
 
-Physics first: trials are simulated without images, and what hindsight would have seen is modelled: the object's true path
-with errors as `benchmarks.truth` measures them on rendered recordings (a shared one of 2 mm and 2 degrees, 1 mm per
-sighting, sight lost where the camera loses it), and a cloud of the surface that a camera above sees. Robustness is
-measured by changing the simulated world in ways the verdict does not know.
+Physics first: trials are simulated without images, and what hindsight would have seen is modelled:
+the object's true path with errors as `benchmarks.truth` measures them on rendered recordings (a
+shared one of 2 mm and 2 degrees, 1 mm per sighting, sight lost where the camera loses it), and a
+cloud of the surface that a camera above sees. Robustness is measured by changing the simulated
+world in ways the verdict does not know.
 """
 
 from __future__ import annotations
@@ -53,16 +55,28 @@ from dgeval.worlds.objects import surface_points
 from benchmarks.result import RESULTS, table, write
 from benchmarks.simulation import PUBLISHED, rates
 
-AWAY_M, JUMP_M = 0.015, 0.010  # m, of the baseline on the causal pass; not fitted to anything
+# m, thresholds of the baseline on the causal pass; ours, not fitted to anything
+AWAY_M, JUMP_M = 0.015, 0.010
+# Standard deviations of modelled hindsight, as `benchmarks.truth` measures them on rendered
+# recordings: position m, turn degrees, sighting m, cloud m, velocity m/s.
 PLACE_M, TURN_DEG, SIGHTING_M, CLOUD_M, VELOCITY = 0.002, 2.0, 0.001, 0.0012, 0.001
-MIN_TICKS = 20  # of a trial that began; a jaw gripper without a seed in reach stops at once
+# control periods of a trial that began; a jaw gripper without a seed in reach stops at once
+MIN_TICKS = 20
 # the part of the robot that each injected fault is an error of
 PART_OF = {
-    "hand_eye": "tracking", "registration_bias": "tracking", "tracker_drift": "tracking", "velocity_bias": "velocity",
-    "latency": "velocity", "grasp_offset": "synthesis", "descent": "servo", "evaluator_bias": "execution",
+    "hand_eye": "tracking",
+    "registration_bias": "tracking",
+    "tracker_drift": "tracking",
+    "velocity_bias": "velocity",
+    "latency": "velocity",
+    "grasp_offset": "synthesis",
+    "descent": "servo",
+    "evaluator_bias": "execution",
     "close_shift": "execution",
-}  # fmt: skip
-HIDDEN_M = 0.02  # m; of what someone hands over, the lower end is in their hand
+}
+HIDDEN_M = 0.02  # m, lower end of an object that is handed over: it is in the person's hand; ours
+# Changes of the simulated world: factors of friction, mass and contact time constant, m of radius,
+# another solver, a factor of the truth's thresholds; ours.
 VARIANTS = {
     "as simulated": {},
     "friction x 0.7": {"friction": 0.7},
@@ -79,7 +93,7 @@ VARIANTS = {
 
 
 def change(world: World, variant: dict[str, float]) -> None:
-    """The simulated world in a way that the verdict does not know of."""
+    """Change the simulated world in a way that the verdict does not know of."""
     m = world.model
     for g in world.object_geoms + world.hand_geoms:
         m.geom_friction[g, 0] *= variant.get("friction", 1.0)
@@ -95,12 +109,15 @@ def change(world: World, variant: dict[str, float]) -> None:
 
 
 def scene_from(run: Run, world: World, seed: int) -> Scene:
-    """What hindsight would have made of a recording of this run, through the camera as it was calibrated."""
+    """What hindsight would have made of a recording of this run, through the calibrated camera.
+
+    seed: of the drawn errors.
+    """
     rng = generator(seed, "modelled hindsight", run.plan.index)
     plan = run.plan
     end = run.close if run.close is not None else len(run.ticks) - 1
     path = twin_path(
-        world.thing,
+        world.target,
         plan.speed,
         plan.x,
         plan.y,
@@ -109,9 +126,8 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
         world.setting,
     )
     held = world.presenter is not None
-    flat = np.array(
-        [1.0, 1.0, float(held)]
-    )  # of what stands, motion and places are known to be level
+    # an object that stands moves and lies level
+    flat = np.array([1.0, 1.0, float(held)])
     drives = world.gripper.drives
     fingers = np.array([world.model.joint(name).qposadr[0] for name in drives])
     begin = max(0, end - round(APPROACH_S / CONTROL_S))
@@ -121,15 +137,14 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     for k in range(begin, end + 1):
         world.restore(run.ticks[k].snapshot)
         hands.append(world.T_base_hand())
-        through.append(
-            hands[-1] @ wrong_camera @ invert(hands[-1])
-        )  # where things are -> where they are seen
+        # from true positions to observed positions
+        through.append(hands[-1] @ wrong_camera @ invert(hands[-1]))
         joints.append(world.data.qpos[fingers] + rng.normal(0, JOINT_NOISE, len(drives)))
         objects.append(world.T_base_object())
-    # what the object stands on is seen through the same camera: in its frame it is the hand that is elsewhere
-    T_true_seen = invert(through[-1])
-    hands = [T_true_seen @ T for T in hands]
-    through = [T_true_seen @ T for T in through]
+    # the support is seen through the same camera too: in its frame the hand is displaced
+    T_true_observed = invert(through[-1])
+    hands = [T_true_observed @ T for T in hands]
+    through = [T_true_observed @ T for T in through]
     objects = [D @ T for D, T in zip(through, objects, strict=True)]
     for tick in run.ticks[end + 1 : end + 1 + CLOSING] if run.close is not None else []:
         world.restore(tick.snapshot)
@@ -137,17 +152,18 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     T_end = matrix_of(path[end, :7])
     accepted = [f.tick for f in run.frames if f.accepted and begin <= f.tick <= end]
     last = accepted[-1] if accepted else end
-    # where the object is: an error of the place that all sightings share, and of the velocity from the last of them on
+    # the object's position has an error that all sightings share, and one of the velocity that
+    # grows from the last sighting on
     wrong = rng.normal(0, VELOCITY, 3) * flat
     place = rng.normal(0, PLACE_M, 3) * [1, 1, 0.5]
     velocity = path[end, 7:10] * flat + wrong
     drift = wrong * (end - last) * CONTROL_S
-    # what it looks like: a cloud that is turned a little about its own middle
+    # the object's cloud is turned a little about its own middle
     turn = np.radians(rng.normal(0, TURN_DEG))
     R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    points = surface_points(world.thing, 1500, rng) @ (R @ T_end[:3, :3]).T + T_end[:3, 3]
+    points = surface_points(world.target, 1500, rng) @ (R @ T_end[:3, :3]).T + T_end[:3, 3]
     points = points[
-        points[:, 2] > (T_end[2, 3] - world.thing.extent()[2] / 2 + HIDDEN_M if held else 0.006)
+        points[:, 2] > (T_end[2, 3] - world.target.extent()[2] / 2 + HIDDEN_M if held else 0.006)
     ]
     points = points + rng.normal(0, CLOUD_M, points.shape)
     points += place + drift
@@ -160,33 +176,45 @@ def scene_from(run: Run, world: World, seed: int) -> Scene:
     free = (places - T_end[:3, 3]) * flat
     free[: last - begin + 1] -= drift
     free[last - begin + 1 :] += wrong * (np.arange(last + 1, end + 1)[:, None] - end) * CONTROL_S
-    seen = np.full((end + 1 - begin, 4, 4), np.nan)
+    observed = np.full((end + 1 - begin, 4, 4), np.nan)
     for k in accepted:
         T = objects[k - begin] @ invert(T_end)
         # about the object as it is believed to stand at the reference
         T[:3, 3] += place + rng.normal(0, SIGHTING_M, 3) - T[:3, :3] @ (place + drift)
-        seen[k - begin] = T
+        observed[k - begin] = T
     motion = HandMotion(
-        np.arange(begin, end + 1, dtype=np.int64) * PERIOD_NS, np.array(hands), np.array(joints),
+        np.arange(begin, end + 1, dtype=np.int64) * PERIOD_NS,
+        np.array(hands),
+        np.array(joints),
         np.array([run.ticks[k].velocity for k in range(begin, end + 1)]),
-        of_hand(run.ticks[end].twist, hands[-1], world.gripper.T_hand_palm), np.array(closing).reshape(-1, len(drives)),
-    )  # fmt: skip
+        of_hand(run.ticks[end].twist, hands[-1], world.gripper.T_hand_palm),
+        np.array(closing).reshape(-1, len(drives)),
+    )
     gap = (end - last) * CONTROL_S
     T_base_palm = np.array(hands) @ world.gripper.T_hand_palm
     believed = beliefs(
-        run, T_base_palm, objects, T_true_seen, T_end, begin, velocity, place, drift, rng
+        run, T_base_palm, objects, T_true_observed, T_end, begin, velocity, place, drift, rng
     )
     return Scene(
-        motion, points, free, velocity, float(np.hypot(PLACE_M, VELOCITY * gap)), TURN_DEG,
-        None if run.close is None else end - begin, seen, world.gripper, believed, held,
-    )  # fmt: skip
+        motion,
+        points,
+        free,
+        velocity,
+        float(np.hypot(PLACE_M, VELOCITY * gap)),
+        TURN_DEG,
+        None if run.close is None else end - begin,
+        observed,
+        world.gripper,
+        believed,
+        held,
+    )
 
 
 def beliefs(
     run: Run,
     T_base_palm: Array,
-    seen: list[Array],
-    T_true_seen: Array,
+    observed: list[Array],
+    T_true_observed: Array,
     T_end: Array,
     begin: int,
     velocity: Array,
@@ -194,20 +222,21 @@ def beliefs(
     carried_off: Array,
     rng: np.random.Generator,
 ) -> Beliefs | Unknown:
-    """As `dgeval.verdict.beliefs` finds them in a recording. seen: T_base_object by tick from `begin`, as hindsight sees it.
+    """Beliefs as `dgeval.verdict.beliefs` reads them from a recording.
 
-    T_base_palm: by tick too. T_true_seen: from the base frame into that in which these and the undisturbed object at the end,
-    T_end, are given.
-    place, carried_off: hindsight's errors of the sightings, and since the last of them.
+    T_base_palm, observed: palm and object (T_base_object, as hindsight sees it) by control period
+    from `begin`. T_true_observed: from the base frame into the frame of these and of T_end, the
+    undisturbed object at the end. velocity (3,) m/s: of the object. place, carried_off (3,) m:
+    hindsight's errors of the sightings, and since the last of them.
     """
-    at = begin + len(seen) - 1
+    at = begin + len(observed) - 1
     before = [f for f in run.frames if begin <= f.tick <= at]
     grasps = [(f.tick, T) for f in before if (T := run.ticks[f.tick].T_base_grasp) is not None]
     if run.close is None and grasps:
         at = min(
             grasps,
             key=lambda g: float(
-                np.linalg.norm(T_base_palm[g[0] - begin, :3, 3] - (T_true_seen @ g[1])[:3, 3])
+                np.linalg.norm(T_base_palm[g[0] - begin, :3, 3] - (T_true_observed @ g[1])[:3, 3])
             ),
         )[0]
         before, grasps = [f for f in before if f.tick <= at], [g for g in grasps if g[0] <= at]
@@ -216,14 +245,14 @@ def beliefs(
         return Unknown("beliefs not recorded")
     tick, grasp = grasps[-1]
     believed = before[-1].velocity if before[-1].velocity is not None else own[-1].velocity
-    grasp = T_true_seen @ grasp
+    grasp = T_true_observed @ grasp
     recent = [f for f in own if (own[-1].tick - f.tick) * PERIOD_NS <= DRIFT_NS]
     off = []
     for f in recent:
         assert f.T_base_object is not None
         off.append(
-            (T_true_seen @ f.T_base_object)[:3, 3]
-            - seen[f.tick - begin][:3, 3]
+            (T_true_observed @ f.T_base_object)[:3, 3]
+            - observed[f.tick - begin][:3, 3]
             - place
             + rng.normal(0, SIGHTING_M, 3)
         )
@@ -244,19 +273,24 @@ def beliefs(
         )
     else:
         errors["tracking"] = off[-1]
-    goal = T_end @ invert(seen[tick - begin]) @ grasp
+    goal = T_end @ invert(observed[tick - begin]) @ grasp
     goal[:3, 3] += carried_off
-    way = [
-        (T_true_seen @ T)[:3, 3] - T_base_palm[k - begin, :3, 3] for k, T in grasps if k <= until
+    to_grasp = [
+        (T_true_observed @ T)[:3, 3] - T_base_palm[k - begin, :3, 3]
+        for k, T in grasps
+        if k <= until
     ]
     gains = gains_of(
-        way, [run.ticks[k].twist[:3] - run.ticks[k].velocity for k, _ in grasps if k <= until]
+        to_grasp, [run.ticks[k].twist[:3] - run.ticks[k].velocity for k, _ in grasps if k <= until]
     )
     return Beliefs(errors, goal, gains)
 
 
 def outcome(run: Run, world: World, seed: int) -> str:
-    """What the fingers' efforts, or the gap between the jaws, say, as the recording would hold them: success, failure."""
+    """Success or failure, from the fingers' efforts or the gap between the jaws.
+
+    They are read as the recording would hold them, with noise.
+    """
     if run.close is None:
         return "failure"
     grip = world.gripper.grip
@@ -273,13 +307,16 @@ def outcome(run: Run, world: World, seed: int) -> str:
 
 
 def causal_guess(run: Run, world: World) -> str:
-    """Thresholds on what the causal pass alone believes: it never fired, the object jumped, the hand was away."""
+    """A class from thresholds on the beliefs of the causal pass alone.
+
+    It asks whether the hand never closed, whether the object jumped, and whether the hand was away.
+    """
     if run.close is None:
         return "timing"
-    seen = [
+    observed = [
         f for f in run.frames if f.accepted and f.tick <= run.close and f.T_base_object is not None
     ]
-    for a, b in pairwise(seen):
+    for a, b in pairwise(observed):
         assert a.T_base_object is not None
         assert b.T_base_object is not None
         moved = b.T_base_object[:3, 3] - a.T_base_object[:3, 3]
@@ -296,9 +333,10 @@ def causal_guess(run: Run, world: World) -> str:
 
 @dataclass(frozen=True)
 class Job:
-    """One trial to judge. unrefined: the jaw gripper takes the seed as it is, which fails more often.
+    """One trial to judge.
 
-    pushed: only failures in which the object was off its path before the close, which collisions are among, are judged.
+    unrefined: the jaw gripper takes the seed as it is, which fails more often. pushed: judge only
+    failures in which the object was off its path before the close; collisions are among them.
     """
 
     scenario: str
@@ -313,7 +351,7 @@ class Job:
 
 
 def judge(job: Job) -> dict[str, Any]:
-    """One trial: truth, and what each instrument says of it if it failed."""
+    """One trial: the truth, and each method's verdict if it failed."""
     limit_threads()
     scenario = load_scenario(job.scenario).model_copy(update={"choose": None})
     if job.unrefined:
@@ -335,11 +373,20 @@ def judge(job: Job) -> dict[str, Any]:
     sighted = [f.tick * PERIOD_NS for f in run.frames if f.accepted]
     gap, sided = blind_gap(sighted, None if run.close is None else run.close * PERIOD_NS)
     out: dict[str, Any] = {
-        "scenario": job.scenario, "id": plan.id, "seed": job.seed, "index": job.index, "variant": job.variant,
-        "object": plan.object, "speed": plan.nominal_speed, "closed": run.close is not None,
-        "outcome": "success" if succeeded else "failure", "outcome_said": outcome(run, world, job.seed),
-        "gap_s": gap, "gap_sided": sided, "present": plan.faults.present(),
-    }  # fmt: skip
+        "scenario": job.scenario,
+        "id": plan.id,
+        "seed": job.seed,
+        "index": job.index,
+        "variant": job.variant,
+        "object": plan.object,
+        "speed": plan.nominal_speed,
+        "closed": run.close is not None,
+        "outcome": "success" if succeeded else "failure",
+        "outcome_said": outcome(run, world, job.seed),
+        "gap_s": gap,
+        "gap_sided": sided,
+        "present": plan.faults.present(),
+    }
     if succeeded or len(run.ticks) < MIN_TICKS:
         return out
     scale = about.get("labels", 1.0)
@@ -356,9 +403,15 @@ def judge(job: Job) -> dict[str, Any]:
         ),
     )
     out.update(
-        truth=truth.failure_class, sub=truth.sub_cause, shift_s=truth.shift_s, near=list(truth.near), curve=truth.curve,
-        faults=asdict(plan.faults), causal=causal_guess(run, world), pose_error_m=truth.pose_error_m,
-    )  # fmt: skip
+        truth=truth.failure_class,
+        sub=truth.sub_cause,
+        shift_s=truth.shift_s,
+        near=list(truth.near),
+        curve=truth.curve,
+        faults=asdict(plan.faults),
+        causal=causal_guess(run, world),
+        pose_error_m=truth.pose_error_m,
+    )
     if job.blame:
         out["blame"] = blame(plan, lambda p: _succeeds(campaign, p))
     scene = scene_from(run, world, job.seed)
@@ -393,7 +446,10 @@ def _succeeds(campaign: Campaign, plan: Plan) -> bool:
 
 
 def blame_table(rows: list[dict[str, Any]], method: str) -> str:
-    """The part blamed beside the one fault whose removal restores success, of failures that have such a fault."""
+    """The blamed part beside the one fault whose removal restores success.
+
+    Only failures that have such a fault count.
+    """
     known = [r for r in rows if r.get("blame") and r["blame"]["fault"] in PART_OF]
     terms = [*dict.fromkeys(PART_OF.values()), "unknown"]
     faults = [f for f in PART_OF if any(r["blame"]["fault"] == f for r in known)]
@@ -402,17 +458,20 @@ def blame_table(rows: list[dict[str, Any]], method: str) -> str:
         "|---|" + "---|" * (len(terms) + 1),
     ]
     for fault in faults:
-        said = [r[method]["blame"] for r in known if r["blame"]["fault"] == fault]
-        right = said.count(PART_OF[fault])
+        predicted = [r[method]["blame"] for r in known if r["blame"]["fault"] == fault]
+        right = predicted.count(PART_OF[fault])
         lines.append(
             f"| {fault} | "
-            + " | ".join(str(said.count(t)) for t in terms)
-            + f" | {right}/{len(said)} |"
+            + " | ".join(str(predicted.count(t)) for t in terms)
+            + f" | {right}/{len(predicted)} |"
         )
     named = [r for r in known if r[method]["blame"] != "unknown"]
     right = sum(r[method]["blame"] == PART_OF[r["blame"]["fault"]] for r in named)
     share = wilson(right, len(named))
-    about = f"{len(known)} failures with one such fault; a part is named in {len(named)}, rightly in {right}"
+    about = (
+        f"{len(known)} failures with one such fault; "
+        f"a part is named in {len(named)}, rightly in {right}"
+    )
     return "\n".join(
         [
             *lines,
@@ -422,20 +481,27 @@ def blame_table(rows: list[dict[str, Any]], method: str) -> str:
     )
 
 
-def scores(rows: list[dict[str, Any]], said: list[str]) -> str:
+def scores(rows: list[dict[str, Any]], predicted: list[str]) -> str:
     """Right, abstained and macro-F1 of a row of a table; an abstention counts as wrong."""
     truth = [r["truth"] for r in rows]
-    f1, low, high = macro_f1(truth, said, CLASSES)
-    right = sum(a == b for a, b in zip(truth, said, strict=True))
-    return f"{len(rows)} | {right / len(rows):.0%} | {said.count('unknown')} | {f1:.2f} [{low:.2f}, {high:.2f}]"
+    f1, low, high = macro_f1(truth, predicted, CLASSES)
+    right = sum(a == b for a, b in zip(truth, predicted, strict=True))
+    return (
+        f"{len(rows)} | {right / len(rows):.0%} | {predicted.count('unknown')} | "
+        f"{f1:.2f} [{low:.2f}, {high:.2f}]"
+    )
 
 
 def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
-    """Markdown of one variant: outcome, classes with baselines and parts, confusion, calibration, sub-cause."""
+    """Markdown of one variant.
+
+    It holds outcome, classes with baselines and parts, confusion, calibration and sub-cause.
+    """
     ended = sum(r["outcome_said"] == r["outcome"] for r in rows)
     low, high = wilson(ended, len(rows))
     lines = [
-        f"Outcome without labels: {ended} of {len(rows)} right ({ended / len(rows):.1%}) [{low:.1%}, {high:.1%}]"
+        f"Outcome without labels: {ended} of {len(rows)} right ({ended / len(rows):.1%}) "
+        f"[{low:.1%}, {high:.1%}]"
     ]
     failed = [r for r in rows if "truth" in r]
     head = ["| instrument | failures | right | unknown | macro-F1 |", "|---|---|---|---|---|"]
@@ -466,8 +532,8 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
         f"| thresholds on the causal pass | {scores(failed, [r['causal'] for r in failed])} |"
     )
     for method in methods:
-        said = [r[method]["class"] for r in failed]
-        matrix = confusion([r["truth"] for r in failed], said, [*CLASSES, "unknown"])[:3]
+        predicted = [r[method]["class"] for r in failed]
+        matrix = confusion([r["truth"] for r in failed], predicted, [*CLASSES, "unknown"])[:3]
         lines += [
             "",
             f"{method}:",
@@ -486,14 +552,16 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
         same = sum(r[method]["sub"] == r["sub"] for r in hits)
         seconds = np.quantile([r[method]["seconds"] for r in failed], [0.5, 0.95])
         about = [
-            f"Answered: {len(answered)}, right {len(hits) / max(len(answered), 1):.0%}, stated {p.mean():.0%}, ECE {error:.3f}"
+            f"Answered: {len(answered)}, right {len(hits) / max(len(answered), 1):.0%}, "
+            f"stated {p.mean():.0%}, ECE {error:.3f}"
         ]
         about += [f"of the right ones the sub-cause is right in {same} of {len(hits)}"]
         if timed := [
             abs(r[method]["shift_s"] - r["shift_s"]) for r in hits if r["truth"] == "timing"
         ]:
             about += [
-                f"the close time is off by a median of {np.median(timed):.2f} s (90 %: {np.quantile(timed, 0.9):.2f} s)"
+                f"the close time is off by a median of {np.median(timed):.2f} s "
+                f"(90 %: {np.quantile(timed, 0.9):.2f} s)"
             ]
         if any(r.get("blame") for r in failed):
             lines += ["", blame_table(failed, method)]
@@ -505,7 +573,10 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
 
 
 def beside_the_paper(rows: list[dict[str, Any]], method: str, paper: dict[str, Any]) -> str:
-    """Success by speed and object, and the failures' shares by truth and by verdict, of a scenario that a paper has too."""
+    """Success by speed and object, and the failures' shares by truth and by verdict.
+
+    For a scenario that a paper has too.
+    """
     ended = [
         {
             "verdict": {
@@ -520,10 +591,12 @@ def beside_the_paper(rows: list[dict[str, Any]], method: str, paper: dict[str, A
     lines = []
     for c in (*CLASSES, "unknown"):
         cells = []
-        for said in ([r["truth"] for r in failed], [r[method]["class"] for r in failed]):
-            k = said.count(c)
-            low, high = wilson(k, len(said))
-            cells.append(f"{k}/{len(said)} = {k / max(len(said), 1):.0%} [{low:.0%}, {high:.0%}]")
+        for predicted in ([r["truth"] for r in failed], [r[method]["class"] for r in failed]):
+            k = predicted.count(c)
+            low, high = wilson(k, len(predicted))
+            cells.append(
+                f"{k}/{len(predicted)} = {k / max(len(predicted), 1):.0%} [{low:.0%}, {high:.0%}]"
+            )
         share = paper["printed"]["failures"].get(c)
         lines.append([c, *cells, "–" if share is None else f"{share} %"])
     never = sum(not r["closed"] for r in rows)

@@ -27,7 +27,7 @@ from dgeval.planning.vfas.selection import GraspJudge, perturbed  # noqa: E402
 from dgeval.robots.parallel_jaw import link_points  # noqa: E402
 from dgeval.simulation.campaign import Campaign, plan_of, simulate  # noqa: E402
 from dgeval.simulation.jaw_grasps import FlyingJaw, between_fingers, seed_pose  # noqa: E402
-from dgeval.simulation.render import Eyes  # noqa: E402
+from dgeval.simulation.render import Renderer  # noqa: E402
 from dgeval.simulation.scenario import load_scenario  # noqa: E402
 from dgeval.simulation.sensors import D405  # noqa: E402
 from dgeval.training.jaw_data import CAMERAS, scenes_of, view  # noqa: E402
@@ -79,7 +79,7 @@ def spread_against_robustness(per_object: int) -> str:
         world = FlyingJaw(model, procedural_object(index + 1000, 0), CAMERAS)
         surface = surface_points(model, 6000, generator(7, "surface", index))
         T_base_object = at(0.5, 0, model.rest_height())
-        with Eyes(world, (CAMERAS[0], CAMERAS[1]), D405, 7, 0) as eyes:
+        with Renderer(world, (CAMERAS[0], CAMERAS[1]), D405, 7, 0) as renderer:
             tried = 0
             for k in range(400):
                 rng = generator(7, f"robust/{model.name}", k)
@@ -90,12 +90,12 @@ def spread_against_robustness(per_object: int) -> str:
                     (T_base_object @ T_object_seed)[None], np.full(3, 0.01), np.radians(5), rng
                 )[0]
                 if (
-                    not all(world.free_way(T))
+                    not all(world.approach_free(T))
                     or between_fingers(surface, invert(T) @ T_base_object) < 4
                 ):
                     continue
                 tried += 1
-                points, grazing, _ = view(world, eyes, T, rng)
+                points, grazing, _ = view(world, renderer, T, rng)
                 cloud = rng.permutation(points[~grazing])
                 copies = [cloud + rng.normal(0, config.noise, cloud.shape) for _ in range(5)]
                 noisy = judge.quality(copies, np.eye(4)[None])

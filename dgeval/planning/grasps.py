@@ -205,7 +205,7 @@ def free_of(
     return np.asarray(deep <= most)
 
 
-def way_free(
+def approach_free(
     cloud: EncodedCloud,
     T_cloud_palm: Array,
     joints: Array,

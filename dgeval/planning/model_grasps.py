@@ -15,13 +15,13 @@ from dgeval.planning.grasps import (
     Candidates,
     EncodedCloud,
     Feasible,
+    approach_free,
     encode_cloud,
     evaluate,
     free_of,
     networks_of,
     overlap_allowed,
     propose,
-    way_free,
 )
 from dgeval.planning.reachability import Arm, arm_of
 from dgeval.planning.recorded_grasps import Choice
@@ -147,7 +147,7 @@ class ModelGrasps:
             kept = candidates.kept and row == len(poses) - 1  # its way is not asked again
             if hand is not None and not kept:
                 pose, joints = candidates.T_cloud_palm[row], candidates.joints[row]
-                if not way_free(drawn.cloud, pose, joints, hand, drawn.support, config):
+                if not approach_free(drawn.cloud, pose, joints, hand, drawn.support, config):
                     return False
             return arm is None or start is None or arm.solve(poses[row], start) is not None
 

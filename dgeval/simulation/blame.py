@@ -1,6 +1,6 @@
-"""Which injected fault a failure is due to: the one whose removal restores success, over slightly different re-runs.
+"""Which injected fault a failure is due to: the one whose removal restores success.
 
-Render-free: the re-runs use the modelled perception.
+Each question is asked over slightly different re-runs, on modelled perception, without images.
 """
 
 from __future__ import annotations
@@ -12,16 +12,18 @@ from typing import Any
 from dgeval.determinism import generator
 from dgeval.simulation.scenario import Plan
 
-RERUNS, RESTORED, BASE_AT_MOST = (
-    5,
-    4,
-    1,
-)  # of 5 re-runs: with the fault removed at least 4 succeed, with it at most 1
+# All values are ours; docs/simulation.md, "Blame in the simulator".
+# Of RERUNS re-runs, at least RESTORED succeed without the fault, and at most BASE_AT_MOST with it.
+RERUNS, RESTORED, BASE_AT_MOST = 5, 4, 1
+# Half widths of the uniform differences: m of the start, m/s of the speed, s of the close.
 JITTER_M, JITTER_SPEED, JITTER_S = 0.001, 0.003, 0.010
 
 
 def jittered(plan: Plan, k: int) -> Plan:
-    """The plan with start, speed and close a little different: uniform within ±1 mm, ±3 mm/s, ±10 ms."""
+    """The plan with a slightly different start, speed and close.
+
+    Differences are uniform within ±1 mm, ±3 mm/s and ±10 ms, and follow from the number k.
+    """
     rng = generator(plan.seed, f"jitter/{plan.index}", k)
     dx, dy, dv, dt = rng.uniform(-1, 1, 4)
     speed = plan.speed + JITTER_SPEED * dv if plan.speed else 0.0
@@ -35,9 +37,11 @@ def jittered(plan: Plan, k: int) -> Plan:
 
 
 def blame(plan: Plan, succeeds: Callable[[Plan], bool]) -> dict[str, Any]:
-    """{"fault": name or "combined" or None, "base": successes of 5, "without": {fault: successes of 5}}.
+    """The fault to blame, and how often re-runs succeeded.
 
-    None: no fault was injected. "combined": no single removal restores success, or the failure itself does not repeat.
+    Returns {"fault": name or "combined" or None, "base": successes of 5, "without": {fault:
+    successes of 5}}. None: no fault was injected. "combined": no single removal restores success,
+    several do, or the failure itself does not repeat.
     """
     present = plan.faults.present()
     if not present:

@@ -1,8 +1,9 @@
-"""Many trials: simulated without images first, then those wanted rendered; over processes, resumable, the same for any number.
+"""Many trials: simulated without images first, then those that are wanted are rendered.
 
-OUT/truth/<trial>.json is the commit mark of a simulated trial, OUT/recorded/<trial>.json that of its recording; the
-manifest (OUT/<scenario>.toml) names all recordings and what they were made from; OUT/simulated.json holds the truth of all
-trials, those not chosen included.
+Trials run over processes and can be resumed; the result is the same for any number of processes.
+OUT/truth/<trial>.json is the commit mark of a simulated trial, OUT/recorded/<trial>.json that of
+its recording. The manifest (OUT/<scenario>.toml) names all recordings and what they were made from.
+OUT/simulated.json holds the truth of all trials, also of those not chosen.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from dgeval.simulation.meshes import load_meshes
 from dgeval.simulation.perception import ModelledPerception, depth_profile, true_cameras
 from dgeval.simulation.proposals import FFHNetGrasps, GraspSource, KnownGrasps
 from dgeval.simulation.record import verdict_document, write_recording
-from dgeval.simulation.render import Eyes
+from dgeval.simulation.render import Renderer
 from dgeval.simulation.scenario import Plan, Scenario, plan_trial
 from dgeval.simulation.seeing import Images, RenderedPerception
 from dgeval.simulation.setting import Setting
@@ -43,12 +44,19 @@ from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S
 from dgeval.worlds.objects import ObjectModel, eight_objects, ten_objects
 from dgeval.worlds.scene import Camera
 
-BLOCK = 24  # trials simulated between two looks at what is still wanted; a constant, so that jobs don't matter
+# Trials simulated between two checks of what is still wanted; ours. It is constant, so that the
+# number of jobs does not matter.
+BLOCK = 24
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """What to make. `indices` None: the first `trials` of the scenario, or as many as its choice needs."""
+    """What to make.
+
+    indices: of the trials; None: the first `trials` of the scenario, or as many as its choice
+    needs. meshes: folder of users' meshes. blame: also find the fault to blame. images: also
+    record. format: of the recordings, mcap, bag or db3.
+    """
 
     scenario: Scenario
     seed: int
@@ -61,7 +69,7 @@ class Campaign:
     format: str = "mcap"
 
     def _meshes_sha256(self) -> str | None:
-        """Of the meshes' content: a file changed in place makes other trials."""
+        """SHA-256 of the meshes' content: a file changed in place makes other trials."""
         if self.meshes is None:
             return None
         files = sorted(p for p in self.meshes.iterdir() if p.is_file())
@@ -71,23 +79,35 @@ class Campaign:
 
     @property
     def records_all(self) -> bool:
-        """Every trial simulated is recorded: none is chosen, so each is simulated once, in the world with the cameras."""
+        """Whether every simulated trial is recorded.
+
+        Then none is chosen, and each is simulated once, in the world with the cameras.
+        """
         chosen = self.indices is None and self.scenario.choose is not None
         return self.images and not chosen
 
     def key(self) -> str:
-        """What a trial's result depends on; how many are wanted is not part of it."""
+        """Hash of what a trial's result depends on; how many trials are wanted is not
+        part of it.
+        """
         scenario = self.scenario.model_dump(
             mode="json", exclude={"choose", "max_attempts", "trials"}
         )
-        about = [__version__, scenario, self.seed, self.blame, self._meshes_sha256(), fingerprint()]
+        inputs = [
+            __version__,
+            scenario,
+            self.seed,
+            self.blame,
+            self._meshes_sha256(),
+            fingerprint(),
+        ]
         if self.format != "mcap":
-            about.append(self.format)
-        return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+            inputs.append(self.format)
+        return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
 
 
 @cache
-def _things(meshes: Path | None, vfas: bool) -> dict[str, ObjectModel]:
+def _objects(meshes: Path | None, vfas: bool) -> dict[str, ObjectModel]:
     if meshes is not None:
         return load_meshes(meshes)
     return eight_objects() if vfas else ten_objects()
@@ -95,23 +115,23 @@ def _things(meshes: Path | None, vfas: bool) -> dict[str, ObjectModel]:
 
 @cache
 def _known(meshes: Path | None, name: str) -> list[KnownGrasp]:
-    return known_grasps(_things(meshes, False)[name])
+    return known_grasps(_objects(meshes, False)[name])
 
 
 def plan_of(campaign: Campaign, index: int) -> Plan:
     """Trial `index` as drawn."""
-    things = _things(campaign.meshes, campaign.scenario.vfas)
+    objects = _objects(campaign.meshes, campaign.scenario.vfas)
     planned = plan_vfas if campaign.scenario.vfas else plan_trial
-    return planned(campaign.scenario, things, campaign.seed, index)
+    return planned(campaign.scenario, objects, campaign.seed, index)
 
 
 def world_of(campaign: Campaign, plan: Plan, cameras: tuple[Camera, ...] = ()) -> World:
     """The world a plan is carried out in, before its start."""
-    things = _things(campaign.meshes, campaign.scenario.vfas)
-    others = tuple((things[name], x, y, yaw) for name, x, y, yaw in plan.others)
+    objects = _objects(campaign.meshes, campaign.scenario.vfas)
+    others = tuple((objects[name], x, y, yaw) for name, x, y, yaw in plan.others)
     setting = Setting(others, plan.presenter, plan.turn)
     return World(
-        things[plan.object], plan.speed, cameras, setting, gripper=campaign.scenario.gripper
+        objects[plan.object], plan.speed, cameras, setting, gripper=campaign.scenario.gripper
     )
 
 
@@ -126,7 +146,9 @@ def grasps_of(campaign: Campaign, plan: Plan) -> GraspSource:
 
 
 def simulate(campaign: Campaign, plan: Plan) -> tuple[Run, World]:
-    """One trial in closed loop; on modelled perception, without images, where the pipeline allows it."""
+    """One trial in closed loop; on modelled perception without images where the
+    pipeline allows it.
+    """
     if campaign.scenario.vfas:
         with with_images(campaign, plan) as (run, world, _, _):
             return run, world
@@ -138,29 +160,35 @@ def simulate(campaign: Campaign, plan: Plan) -> tuple[Run, World]:
 @contextmanager
 def with_images(
     campaign: Campaign, plan: Plan
-) -> Iterator[tuple[Run, World, Eyes, dict[int, Images]]]:
-    """One trial in closed loop in a world with cameras; the images kept are those that perception drew in the loop."""
+) -> Iterator[tuple[Run, World, Renderer, dict[int, Images]]]:
+    """One trial in closed loop in a world with cameras.
+
+    Yields the run, its world, the renderer, and the images that perception drew in the loop, by
+    frame.
+    """
     scenario = campaign.scenario
     cameras = true_cameras(scenario, plan)
     world = world_of(campaign, plan, cameras)
-    with Eyes(world, cameras, depth_profile(scenario), plan.seed, plan.index) as eyes:
+    with Renderer(world, cameras, depth_profile(scenario), plan.seed, plan.index) as renderer:
         if scenario.vfas:
-            run, kept = run_vfas(plan, scenario, world, eyes)
-            yield run, world, eyes, kept
+            run, kept = run_vfas(plan, scenario, world, renderer)
+            yield run, world, renderer, kept
             return
         perceiver: ModelledPerception | RenderedPerception = ModelledPerception(
             scenario, plan, world
         )
         kept = {}
         if scenario.perception == "rendered":
-            perceiver = RenderedPerception(scenario, plan, eyes)
+            perceiver = RenderedPerception(scenario, plan, renderer)
             kept = perceiver.kept
         run = run_trial(plan, scenario, world, grasps_of(campaign, plan), perceiver)
-        yield run, world, eyes, kept
+        yield run, world, renderer, kept
 
 
 def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
-    """Simulate trial `index`, find out the truth about it, write its JSON; a finished one is read back."""
+    """Simulate trial `index`, prove the truth about it and write its JSON; read back a finished
+    one.
+    """
     limit_threads()
     plan = plan_of(campaign, index)
     path = campaign.out / "truth" / f"{plan.id}.json"
@@ -169,11 +197,11 @@ def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
         return done
     start = time.perf_counter()
     if campaign.scenario.vfas or campaign.scenario.perception == "rendered" or campaign.records_all:
-        with with_images(campaign, plan) as (run, world, eyes, kept):
+        with with_images(campaign, plan) as (run, world, renderer, kept):
             physics = time.perf_counter() - start
             out = _prove(campaign, plan, run, world, physics)
             if campaign.images:
-                _record(campaign, plan, run, world, out["verdict"], eyes, kept)
+                _record(campaign, plan, run, world, out["verdict"], renderer, kept)
     else:
         run, world = simulate(campaign, plan)
         out = _prove(campaign, plan, run, world, time.perf_counter() - start)
@@ -214,7 +242,7 @@ def _succeeds(campaign: Campaign, plan: Plan) -> bool:
 
 
 def record_trial(campaign: Campaign, index: int) -> dict[str, Any]:
-    """Simulate trial `index` again with cameras and write its recording, with the truth found before."""
+    """Simulate trial `index` again with cameras and write its recording with the proved truth."""
     limit_threads()
     plan = plan_of(campaign, index)
     if (done := _recorded(campaign, plan)) is not None:
@@ -222,8 +250,8 @@ def record_trial(campaign: Campaign, index: int) -> dict[str, Any]:
     proved = prove_trial(campaign, index)
     if (done := _recorded(campaign, plan)) is not None:  # it may have been recorded on the way
         return done
-    with with_images(campaign, plan) as (run, world, eyes, kept):
-        return _record(campaign, plan, run, world, proved["verdict"], eyes, kept)
+    with with_images(campaign, plan) as (run, world, renderer, kept):
+        return _record(campaign, plan, run, world, proved["verdict"], renderer, kept)
 
 
 def _recorded(campaign: Campaign, plan: Plan) -> dict[str, Any] | None:
@@ -237,18 +265,18 @@ def _record(
     run: Run,
     world: World,
     verdict: dict[str, Any],
-    eyes: Eyes,
+    renderer: Renderer,
     kept: dict[int, Images],
 ) -> dict[str, Any]:
     start = time.perf_counter()
     seconds = len(run.ticks) * CONTROL_S + AFTER_CLOSE_S
-    twin = twin_path(world.thing, plan.speed, plan.x, plan.y, plan.yaw, seconds, world.setting)
+    twin = twin_path(world.target, plan.speed, plan.x, plan.y, plan.yaw, seconds, world.setting)
     file = campaign.out / recording_name(campaign, plan.id)
     part = campaign.out / "part" / file.name
     if part.is_dir():
         shutil.rmtree(part)
     part.parent.mkdir(exist_ok=True)
-    recorded = write_recording(part, run, verdict, twin, campaign.scenario, world, eyes, kept)
+    recorded = write_recording(part, run, verdict, twin, campaign.scenario, world, renderer, kept)
     if file.is_dir():
         shutil.rmtree(file)
     part.rename(file)
@@ -272,7 +300,10 @@ def _record(
 def run_campaign(
     campaign: Campaign, jobs: int, progress: Callable[[str, int, int, dict[str, Any]], None]
 ) -> list[tuple[dict[str, Any], dict[str, Any] | None]]:
-    """All trials; (truth, recording) of each one wanted, by index. progress(phase, done, total, result)."""
+    """Run all trials; gives (truth, recording) of each one wanted, by index.
+
+    progress is called as progress(phase, done, total, result) after each trial.
+    """
     for folder in ("truth", "recorded"):
         (campaign.out / folder).mkdir(parents=True, exist_ok=True)
     proved: list[dict[str, Any]] = []
@@ -314,7 +345,10 @@ def run_campaign(
 
 
 class _pool:
-    """`over(function, campaign, indices)` gives results in the order of the indices, from this process or several."""
+    """`over(function, campaign, indices)` gives results in the order of the indices.
+
+    They are computed in this process or in several.
+    """
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
@@ -368,7 +402,7 @@ def platform_name() -> str:
 def write_manifest(
     campaign: Campaign, pairs: list[tuple[dict[str, Any], dict[str, Any] | None]]
 ) -> None:
-    """OUT/<scenario>.toml: the trials, what they were made from, and the hashes of those recorded."""
+    """Write OUT/<scenario>.toml: the trials, what they were made from, the recordings' hashes."""
     lines = [
         f'name = "{campaign.scenario.name}"',
         "",

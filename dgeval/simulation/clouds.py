@@ -1,4 +1,4 @@
-"""What a depth camera sees of an object's surface, as points, without an image."""
+"""Points that a depth camera measures of an object's surface, without an image."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from numpy.typing import NDArray
 
 from dgeval.geometry import Array, transform
 
-FOCAL = 100.0  # px of the coarse image in which visibility is decided: 4 to 5 mm per px
-BEHIND = 0.006  # m behind the nearest point of its pixel, up to which a point is seen
+FOCAL = 100.0  # px of the coarse image in which visibility is decided: 4 to 5 mm per px; ours
+BEHIND = 0.006  # m behind the nearest point of its pixel, up to which a point is seen; ours
 NOISE = 0.08 / (385.0 * 0.050)  # 1/m: sigma_z = NOISE z^2, a D435 (see `sensors`)
-FLYING = 0.01  # share of points that lie up to 2 cm behind the surface
+FLYING = 0.01  # share of points that lie up to 2 cm behind the surface; ours
 
 
 def seen_from(
     surface: Array, T_camera_object: Array, rng: np.random.Generator
 ) -> tuple[NDArray[np.intp], Array]:
-    """Which points (n, 3) of a surface, object frame, a camera sees: their rows (m,), and where it measures them (m, 3).
+    """The points of a surface (n, 3) m, object frame, that a camera sees.
 
-    The measured points are in the camera frame, with noise along the ray.
+    Returns their rows (m,), and the points that the camera measures (m, 3) m, camera frame, with
+    noise along the ray.
     """
     points = transform(T_camera_object, surface)
     z = np.maximum(points[:, 2], 1e-3)

@@ -1,6 +1,7 @@
-"""The depth camera's loops over pixels, compiled: called by `sensors`, which says what they are for.
+"""The depth camera's loops over pixels, compiled. `sensors` calls them and says what they are for.
 
-Single precision throughout and no reordering, so that the same images give the same bytes on every processor.
+Single precision throughout, and no reordering: the same images give the same bytes on every
+processor.
 """
 
 import numpy as np
@@ -9,9 +10,35 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def measure(
-    out, valid, d, far, step, noise, fate, loss, shadow, u, v, ray2, fB, fx, fy, jump, edge_hole, flying, sigma, slope_gain,
-    quantum, min_range, ramp, grazing_loss, grazing, max_range, grazing_limit, unit,
-):  # fmt: skip
+    out,
+    valid,
+    d,
+    far,
+    step,
+    noise,
+    fate,
+    loss,
+    shadow,
+    u,
+    v,
+    ray2,
+    fB,
+    fx,
+    fy,
+    jump,
+    edge_hole,
+    flying,
+    sigma,
+    slope_gain,
+    quantum,
+    min_range,
+    ramp,
+    grazing_loss,
+    grazing,
+    max_range,
+    grazing_limit,
+    unit,
+):
     """`measure_depth` pixel by pixel. All images (H, W), all numbers float32."""
     one = np.float32(1)
     for y in range(d.shape[0]):
@@ -21,8 +48,9 @@ def measure(
                 continue
             gx, gy = _gradient(d, y, x, 0, 1), _gradient(d, y, x, 1, 0)
             slope = min(abs(gx) + abs(gy), one)
-            # Cosine of the angle between ray and surface normal: disparity is affine in the pixel on a plane, d ~ n.r with
-            # the ray r = ((u-cx)/fx, (v-cy)/fy, 1), which gives n from the gradient without points or cross products.
+            # Cosine of the angle between ray and surface normal. On a plane the disparity is
+            # affine in the pixel, d ~ n.r with the ray r = ((u-cx)/fx, (v-cy)/fy, 1), so the
+            # gradient gives n without points or cross products.
             nz = d[y, x] - gx * u[x] - gy * v[y]
             normal2 = (gx * fx) * (gx * fx) + (gy * fy) * (gy * fy) + nz * nz
             incidence = d[y, x] / np.sqrt(max(normal2 * (ray2[x] + row2 + one), np.float32(1e-12)))
@@ -38,9 +66,8 @@ def measure(
                     measured = far[y, x] + mix * step[y, x]
             measured += sigma * noise[y, x] * (one + slope_gain * slope)
             measured = np.rint(measured / quantum) * quantum
-            z = fB / max(
-                measured, np.float32(1e-6)
-            )  # no disparity is far beyond the greatest range
+            # no disparity is far beyond the greatest range
+            z = fB / max(measured, np.float32(1e-6))
             # the draws are below 1, so nothing is left at or below the minimum range
             lost = one - (z - min_range) / ramp
             if incidence < grazing:
@@ -54,7 +81,10 @@ def measure(
 
 @njit(cache=True, error_model="numpy")
 def _gradient(d, y, x, dy, dx):
-    """Change per px along an axis: the smaller of forward and backward difference, so that edges do not count as slopes."""
+    """Change per px along an axis.
+
+    It is the smaller of forward and backward difference, so that edges do not count as slopes.
+    """
     at_start = y - dy < 0 or x - dx < 0
     at_end = y + dy >= d.shape[0] or x + dx >= d.shape[1]
     if at_start and at_end:
@@ -70,9 +100,10 @@ def _gradient(d, y, x, dy, dx):
 
 @njit(cache=True, error_model="numpy")
 def shadow(d):
-    """Pixels (H, W) that the second imager does not see: outside its image, or behind something nearer in its column.
+    """Pixels (H, W) that the second imager does not see.
 
-    It sees a pixel of column x at x - d, so a near object hides what lies beside its left edge.
+    They lie outside its image, or behind something nearer in its column. It sees a pixel of column
+    x at x - d, so a near object hides what lies beside its left edge.
     """
     height, width = d.shape
     hidden = np.zeros((height, width), np.bool_)
@@ -88,7 +119,8 @@ def shadow(d):
             # one column more on the left of the second image takes what falls outside
             column[x] = max(np.rint(np.float32(x) - d[y, x]), np.float32(-1)) + 1
             seen[column[x]] = max(seen[column[x]], d[y, x])
-        # surfaces that the second imager sees larger leave single columns empty, through which the background must not show
+        # a surface that the second imager sees larger leaves single columns empty; the background
+        # must not show through them
         for x in range(width + 1):
             wide[x] = max(seen[max(x - 1, 0)], seen[x], seen[min(x + 1, width)])
         for x in range(width + 1):
@@ -100,7 +132,10 @@ def shadow(d):
 
 @njit(cache=True, error_model="numpy")
 def draw_rectangles(out, depth, x, y, half, to, T, unit):
-    """Each depth pixel into the colour image `out` (H, W); the lowest count stays. All numbers float32."""
+    """Draw each depth pixel into the colour image `out` (H, W); the lowest count stays.
+
+    All numbers are float32.
+    """
     height, width = out.shape
     margin, least, zero = np.float32(0.25), np.float32(1e-6), np.float32(0)
     corner = np.empty((2, 2), np.float32)

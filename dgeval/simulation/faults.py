@@ -1,4 +1,7 @@
-"""What is wrong on purpose in a trial. Every fault is drawn, recorded, and can be taken out again to prove a cause."""
+"""The faults injected into a trial.
+
+Every fault is drawn, recorded, and can be taken out again to prove a cause.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
+# translation m and rotation vector rad; a vector in m/s; both without a fault
 Six = tuple[float, float, float, float, float, float]
 Three = tuple[float, float, float]
 NONE6: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -14,13 +18,17 @@ NONE3: Three = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Zero means none. Sixes are translation m and rotation vector rad.
+    """The faults of a trial. Zero means none. Sixes are translation m and rotation vector rad.
 
-    hand_eye: true camera pose in the believed one. registration_bias: believed object pose in the true one.
-    velocity_bias: added to the estimated velocity, m/s, base. latency: perception older than the controller thinks, s.
-    grasp_offset: chosen palm pose in the intended one. evaluator_bias: added to the score. close_shift: the close comes this
-    much too early (negative) or late (positive), s. tracker_drift: speed at which the believed place walks off, m/s, base.
-    descent: the hand comes down this much faster than it moves sideways (1: twice as fast), so that it sweeps in low.
+    hand_eye: true camera pose in the believed one. registration_bias: believed object pose in the
+    true one. tracker_drift: velocity at which the believed position drifts, m/s, base.
+    velocity_bias: added to the estimated velocity, m/s, base. latency: age of the perception beyond
+    what the controller assumes, s.
+
+    grasp_offset: chosen palm pose in the intended one. evaluator_bias: added to the score.
+    close_shift: how much the close comes too early (negative) or too late (positive), s. descent:
+    how much faster the hand comes down than it moves sideways (1: twice as fast), so that it sweeps
+    in low.
     """
 
     hand_eye: Six = NONE6
@@ -38,7 +46,7 @@ class Faults:
         return tuple(f.name for f in fields(self) if np.any(np.asarray(getattr(self, f.name)) != 0))
 
     def without(self, name: str) -> Faults:
-        """The same without one fault."""
+        """The faults without one of them."""
         return replace(self, **{name: getattr(Faults(), name)})
 
     def as_dict(self) -> dict[str, object]:
@@ -46,7 +54,10 @@ class Faults:
 
 
 def draw(rng: np.random.Generator, name: str, size: tuple[float, ...]) -> Six | Three | float:
-    """One fault's value: size is (m, degrees), (m/s,), (s,) or (1,) with a random direction and 0.6 to 1.4 of that size."""
+    """One fault's value of a random direction and of 0.6 to 1.4 times a size.
+
+    size: (m, degrees), (m/s,), (s,) or (1,), by the fault's name.
+    """
     strength = rng.uniform(0.6, 1.4)
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)

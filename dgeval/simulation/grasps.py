@@ -1,7 +1,8 @@
-"""Grasps checked in physics: random palm poses, free of contact, that close on the object and lift it, by a flying hand.
+"""Grasps checked in physics by a flying hand.
 
-They stand in for FFHNet in the closed loop (and are its training positives): `quality` is the share of slightly displaced
-repetitions that still lift.
+They are random palm poses, free of contact, that close on the object and lift it. They stand in for
+FFHNet in the closed loop and are its positive training data. `quality` is the share of slightly
+displaced repetitions that still lift.
 """
 
 from __future__ import annotations
@@ -24,37 +25,45 @@ from dgeval.worlds.objects import ObjectModel, at
 from dgeval.worlds.scene import build
 
 HAND = hand_for("ffhnet")
-REPETITIONS = 6
+REPETITIONS = 6  # displaced tries of a grasp that lifted; ours
+# the trial's wait, lift and height, and a hold of 0.3 s
 LIFT_TEST = LiftTest(SETTLE_S, LIFT_S, LIFT_HEIGHT, 0.3, 0.0)
-SHAKE = 2 * 2 * 9.81 / (2 * np.pi * 5.0) ** 2  # m, to and fro: 2 g at 5 Hz
+SHAKE = 2 * 2 * 9.81 / (2 * np.pi * 5.0) ** 2  # m, travel of a shake of 2 g at 5 Hz; ours
 
 
 @dataclass(frozen=True)
 class KnownGrasp:
-    """T_object_palm (4, 4), the 15 joint positions before closing, rad, and the share of repetitions that lifted."""
+    """A grasp that lifts its object.
+
+    T_object_palm (4, 4); preshape (15,) rad: joint positions before closing; quality: share of
+    displaced repetitions that lifted.
+    """
 
     T_object_palm: Array
     preshape: Array
     quality: float
 
 
-def known_grasps(thing: ObjectModel) -> list[KnownGrasp]:
-    """Shipped grasps of one of the ten objects; for any other, a search (some seconds to a minute), the same each time."""
+def known_grasps(target: ObjectModel) -> list[KnownGrasp]:
+    """Shipped grasps of one of the ten objects; for any other object, a search.
+
+    The search takes some seconds to a minute and gives the same grasps each time.
+    """
     shipped = json.loads(
         (resources.files("dgeval.simulation") / "known_grasps.json").read_text(encoding="utf-8")
     )
-    if thing.name not in shipped:
-        return search(thing, 8, 11, 20_000)
+    if target.name not in shipped:
+        return search(target, 8, 11, 20_000)
     return [
         KnownGrasp(
             matrix_from_pose(np.array(g["T_object_palm"])), np.array(g["preshape"]), g["quality"]
         )
-        for g in shipped[thing.name]
+        for g in shipped[target.name]
     ]
 
 
 class FlyingHand(HandAndObject):
-    """A hand on a handle over an object at rest at x 0.5, y 0."""
+    """A hand on a handle over an object at rest at x 0.5 m, y 0 m."""
 
     def __init__(self, target: ObjectModel) -> None:
         super().__init__(build(target, robot="hand", gripper=HAND), HAND, target.rest_height())
@@ -64,7 +73,9 @@ class FlyingHand(HandAndObject):
         )
 
     def put(self, T_base_hand: Array, preshape: Array) -> None:
-        """The hand at a pose with its fingers preshaped, the object at rest."""
+        """Put the hand at a pose (4, 4) with preshaped fingers (15,) rad, and the
+        object at rest.
+        """
         mujoco.mj_resetData(self.model, self.data)
         self.place_object(np.array([0.5, 0.0, self.rest, 1, 0, 0, 0]), np.zeros(6))
         self.fly_to(np.concatenate([T_base_hand[:3, 3], quat_wxyz(T_base_hand[:3, :3])]))
@@ -72,7 +83,7 @@ class FlyingHand(HandAndObject):
         self.update_contacts()
 
     def put_palm(self, T_object_palm: Array, preshape: Array) -> None:
-        """`put`, by a palm pose in the object's frame."""
+        """As `put`, with a palm pose in the object's frame."""
         self.put(at(0.5, 0.0, self.rest) @ T_object_palm @ invert(HAND.T_hand_palm), preshape)
 
     def touches(self) -> bool:
@@ -88,13 +99,16 @@ class FlyingHand(HandAndObject):
         return float((places[:, 2] - np.abs(axes[:, 2]) * half - radius).min())
 
     def lifts(self, preshape: Array, shake: bool = False) -> bool:
-        """Close, lift, hold for 0.3 s. `shake`: the object must also stay through a shake of 2 g."""
+        """Whether closing, lifting and holding for 0.3 s keeps the object.
+
+        shake: it must also stay through a shake of 2 g.
+        """
         return self.lift_test(preshape, replace(LIFT_TEST, shake_m=SHAKE) if shake else LIFT_TEST)
 
 
-def candidate(rng: np.random.Generator, thing: ObjectModel) -> tuple[Array, Array]:
-    """A random T_base_hand over the object at rest at (0.5, 0), and a preshape (15,)."""
-    extent = thing.extent()
+def candidate(rng: np.random.Generator, target: ObjectModel) -> tuple[Array, Array]:
+    """A random T_base_hand over the object at rest at (0.5, 0) m, and a preshape (15,) rad."""
+    extent = target.extent()
     tilt, heading, roll = (
         np.radians(40) * np.sqrt(rng.random()),
         rng.uniform(0, 2 * np.pi),
@@ -109,9 +123,9 @@ def candidate(rng: np.random.Generator, thing: ObjectModel) -> tuple[Array, Arra
     inside = np.array(
         [rng.uniform(0.025, 0.075), rng.uniform(-0.005, 0.03), rng.uniform(0.13, 0.20)]
     )
-    top = max(thing.rest_height() - 0.035, 0.0)  # tall objects are taken by their upper part
+    top = max(target.rest_height() - 0.035, 0.0)  # tall objects are taken by their upper part
     centre = (
-        np.array([0.5, 0, thing.rest_height() + rng.uniform(-0.5, 1.0) * top])
+        np.array([0.5, 0, target.rest_height() + rng.uniform(-0.5, 1.0) * top])
         + rng.normal(0, 0.10, 3) * extent
     )
     T = np.eye(4)
@@ -119,19 +133,21 @@ def candidate(rng: np.random.Generator, thing: ObjectModel) -> tuple[Array, Arra
     return T, HAND.random_preshape(rng)
 
 
-def search(thing: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[KnownGrasp]:
-    """Up to n grasps of an object that lift it, have a free way down to them, and survive most repetitions."""
-    world = FlyingHand(thing)
-    found: list[KnownGrasp] = []
-    T_object_base = invert(at(0.5, 0.0, thing.rest_height()))
+def search(target: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[KnownGrasp]:
+    """Up to n grasps that lift the object, with a free approach, and survive most repetitions.
+
+    seed, tries: of the random candidates.
+    """
+    world = FlyingHand(target)
+    kept: list[KnownGrasp] = []
+    T_object_base = invert(at(0.5, 0.0, target.rest_height()))
     for k in range(tries):
-        rng = generator(seed, f"grasps/{thing.name}", k)
-        T, preshape = candidate(rng, thing)
+        rng = generator(seed, f"grasps/{target.name}", k)
+        T, preshape = candidate(rng, target)
         world.put(T, preshape)
-        T[2, 3] += min(
-            max(0.003 - world.lowest(), 0.0), 0.05
-        )  # fingers that would reach into the belt
-        if not _free_way(world, T, preshape):
+        # raise fingers that would reach into the belt
+        T[2, 3] += min(max(0.003 - world.lowest(), 0.0), 0.05)
+        if not _approach_free(world, T, preshape):
             continue
         world.put(T, preshape)
         if not world.lifts(preshape):
@@ -144,16 +160,16 @@ def search(thing: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[
             world.put(moved, preshape)
             lifted += not world.touches() and world.lifts(preshape)
         if lifted / REPETITIONS >= 0.66:
-            found.append(
+            kept.append(
                 KnownGrasp(T_object_base @ T @ HAND.T_hand_palm, preshape, lifted / REPETITIONS)
             )
-            if len(found) == n:
+            if len(kept) == n:
                 break
-    return found
+    return kept
 
 
-def _free_way(world: FlyingHand, T_base_hand: Array, preshape: Array) -> bool:
-    """Whether hand and straight way down to it, 12 cm from above, touch nothing."""
+def _approach_free(world: FlyingHand, T_base_hand: Array, preshape: Array) -> bool:
+    """Whether the hand, and its straight approach from 12 cm above, touch nothing."""
     for height in (0.0, 0.02, 0.04, 0.08, 0.12):
         T = T_base_hand.copy()
         T[2, 3] += height

@@ -1,4 +1,4 @@
-"""Jaw grasps tried in physics: a gripper on a handle over an object on a table, another one beside it."""
+"""Jaw grasps tried in physics: a gripper on a handle over an object on a table, beside another."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ from dgeval.worlds.scene import Camera, build
 HAND = hand_for("vfas")
 OPENING = HAND.opening or 0.0  # m between the pads
 PREGRASP_M = 0.10  # m before the grasp along its approach; ours, the paper gives no figure
-# m, s: lift, hold, and a shake of 1 g to and fro at 5 Hz
+# s, s, m, s, m: wait, lift, height, hold, and travel of a shake of 1 g at 5 Hz; ours
 LIFT_TEST = LiftTest(settle_s=0.0, lift_s=0.5, height_m=0.10, hold_s=0.3, shake_m=0.02)
 
 
 class FlyingJaw(HandAndObject):
-    """A gripper on a handle over an object at rest at (0.5, 0), a second one near it or far away."""
+    """A gripper on a handle over an object at rest at (0.5, 0) m, and a second object.
+
+    The second object stands at T_base_other, at first far away.
+    """
 
     def __init__(
         self, target: ObjectModel, other: ObjectModel, cameras: tuple[Camera, ...] = ()
@@ -35,7 +38,7 @@ class FlyingJaw(HandAndObject):
         self.T_base_other = at(3.0, 0, other.rest_height())
 
     def put(self, T_base_grasp: Array) -> None:
-        """The open gripper at a pose, both objects at rest."""
+        """Put the open gripper at a pose (4, 4), both objects at rest."""
         mujoco.mj_resetData(self.model, self.data)
         T = T_base_grasp @ invert(HAND.T_hand_palm)
         self.place_object(np.array([0.5, 0, self.rest, 1, 0, 0, 0]), np.zeros(6))
@@ -56,8 +59,8 @@ class FlyingJaw(HandAndObject):
         table = hand & self._is_table[pairs].any(axis=1)
         return bool((hand & ~table).any()), bool(table.any())
 
-    def free_way(self, T_base_grasp: Array) -> tuple[bool, bool]:
-        """Whether the advance from the pre-grasp pose is free of objects, and of the table."""
+    def approach_free(self, T_base_grasp: Array) -> tuple[bool, bool]:
+        """Whether the approach from the pre-grasp pose is free of objects, and of the table."""
         objects = table = False
         for back in np.linspace(0.0, PREGRASP_M, 5):
             self.put(T_base_grasp @ at(0, 0, -back))
@@ -71,21 +74,24 @@ class FlyingJaw(HandAndObject):
 
 
 def between_fingers(points: Array, T_grasp_points: Array) -> int:
-    """How many points (n, 3) the closing fingers would meet."""
+    """How many points (n, 3) m lie between the fingers, where closing fingers would meet them."""
     p = np.abs(transform(T_grasp_points, points) - [0, 0, -0.012])
     return int((p < [OPENING / 2, 0.011, 0.022]).all(axis=1).sum())
 
 
 def seed_pose(surface: Array, rng: np.random.Generator) -> Array | None:
-    """A T_object_grasp about a random surface point from above or the side, across what is narrow; None: nothing fits."""
-    target = surface[rng.integers(len(surface))]
+    """A random T_object_grasp (4, 4) about a point of the surface (n, 3) m; None if nothing fits.
+
+    It comes from above or from the side and closes across a narrow part.
+    """
+    point = surface[rng.integers(len(surface))]
     tilt, heading = np.radians(100) * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi)
     R = Rotation.from_rotvec(
         tilt * np.array([np.cos(heading), np.sin(heading), 0])
     ).as_matrix() @ np.diag([1.0, -1.0, -1.0])
     best: tuple[float, Array] | None = None
     for roll in rng.uniform(0, np.pi, int(rng.integers(1, 7))):
-        T = at(target[0], target[1], target[2], R @ Rotation.from_euler("z", roll).as_matrix())
+        T = at(point[0], point[1], point[2], R @ Rotation.from_euler("z", roll).as_matrix())
         local = transform(invert(T), surface)
         inside = local[np.abs(local[:, 1]) < 0.011]
         top = inside[np.abs(inside[:, 0]) < OPENING / 2, 2].min(initial=0.0)
@@ -99,22 +105,25 @@ def seed_pose(surface: Array, rng: np.random.Generator) -> Array | None:
         ]
         if len(slab) < 5:
             continue
-        wide = float(np.ptp(slab[:, 0]))
-        if wide < OPENING - 0.004 and (best is None or wide < best[0]):
-            best = wide, T @ at(float(slab[:, 0].min() + slab[:, 0].max()) / 2, 0, 0)
+        width = float(np.ptp(slab[:, 0]))
+        if width < OPENING - 0.004 and (best is None or width < best[0]):
+            best = width, T @ at(float(slab[:, 0].min() + slab[:, 0].max()) / 2, 0, 0)
     return None if best is None else best[1]
 
 
-def search(thing: ObjectModel, n: int, seed: int, tries: int = 4000) -> list[Array]:
-    """Up to n T_object_grasp that lift an upright object, also when the gripper is 4 mm or 3 degrees off, in 5 of 6 tries."""
-    world = FlyingJaw(thing, thing)
-    surface = surface_points(thing, 6000, generator(seed, f"jaw surface/{thing.name}", 0))
-    T_base_object = at(0.5, 0, thing.rest_height())
-    found: list[Array] = []
+def search(target: ObjectModel, n: int, seed: int, tries: int = 4000) -> list[Array]:
+    """Up to n T_object_grasp (4, 4) that lift an upright object.
+
+    They must lift in 5 of 6 tries with the gripper displaced by 4 mm and 3 degrees (1 sigma).
+    """
+    world = FlyingJaw(target, target)
+    surface = surface_points(target, 6000, generator(seed, f"jaw surface/{target.name}", 0))
+    T_base_object = at(0.5, 0, target.rest_height())
+    kept: list[Array] = []
     for k in range(tries):
-        rng = generator(seed, f"jaw search/{thing.name}", k)
+        rng = generator(seed, f"jaw search/{target.name}", k)
         T_object_grasp = seed_pose(surface, rng)
-        if T_object_grasp is None or not all(world.free_way(T_base_object @ T_object_grasp)):
+        if T_object_grasp is None or not all(world.approach_free(T_base_object @ T_object_grasp)):
             continue
         lifted = 0
         for repetition in range(6):
@@ -128,7 +137,7 @@ def search(thing: ObjectModel, n: int, seed: int, tries: int = 4000) -> list[Arr
             if repetition + 1 - lifted > 1:
                 break
         if lifted >= 5:
-            found.append(T_object_grasp)
-            if len(found) == n:
+            kept.append(T_object_grasp)
+            if len(kept) == n:
                 break
-    return found
+    return kept

@@ -1,4 +1,4 @@
-"""Users' meshes as objects: convex parts for contact by decomposition, the mesh itself to be seen."""
+"""Users' meshes as objects: convex parts for contact by decomposition; the mesh itself is drawn."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ from dgeval.worlds.objects import ObjectModel, Part
 from dgeval.worlds.textures import Look
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
-DENSITY = 300.0  # kg/m^3 where masses.toml says nothing: boxes and bottles, between foam and water
-MIN_SIZE, MAX_SIZE = 0.01, 0.5  # m
+# kg/m^3 where masses.toml gives no mass; ours: boxes and bottles, between foam and water
+DENSITY = 300.0
+MIN_SIZE, MAX_SIZE = 0.01, 0.5  # m, between which a hand can grasp; ours
 
 
 def load_meshes(folder: Path) -> dict[str, ObjectModel]:
-    """Each mesh file of a folder by its stem, z up, metres; `masses.toml` may give kg by stem. UsageError names the file."""
+    """Each mesh file of a folder by its stem, z up, metres.
+
+    `masses.toml` may give masses in kg by stem. UsageError names the file.
+    """
     import trimesh
 
     files = (
@@ -39,9 +43,14 @@ def load_meshes(folder: Path) -> dict[str, ObjectModel]:
             ) from error
         size = np.ptp(vertices, axis=0) if len(vertices) else np.zeros(3)
         if not (np.isfinite(size).all() and MIN_SIZE < size.max() < MAX_SIZE):
-            what = f"its size is {np.round(size, 4).tolist()} m; a hand needs {MIN_SIZE} to {MAX_SIZE} m"
+            message = (
+                f"its size is {np.round(size, 4).tolist()} m; "
+                f"a hand needs {MIN_SIZE} to {MAX_SIZE} m"
+            )
             raise UsageError(
-                what, Place(str(path)), "meshes are in metres: scale those in millimetres by 0.001"
+                message,
+                Place(str(path)),
+                "meshes are in metres: scale those in millimetres by 0.001",
             )
         vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         mesh = trimesh.Trimesh(vertices, faces, process=False)

@@ -1,4 +1,7 @@
-"""What the simulated robot believes about the object, frame by frame: modelled as truth with errors, without images."""
+"""What the simulated robot believes about the object in each frame.
+
+Here it is modelled as truth with errors, without images.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,18 @@ from dgeval.simulation.world import World
 from dgeval.worlds.objects import ObjectModel, surface_points
 from dgeval.worlds.scene import Camera
 
-MIN_SHARE = 0.35  # of the surface points on the object's near side inside the image and beyond the least range
+# Least share of the surface points on the object's near side that must lie inside the image and
+# beyond the least range; ours.
+MIN_SHARE = 0.35
 
 
 @dataclass(frozen=True)
-class Sight:
-    """One frame's result: T_base_object as the robot believes it, None when the registration was refused or the view lost.
+class PerceivedObject:
+    """One frame's result.
 
-    cloud: the model (n, 3) of an accepted frame, base frame, where the scenario's grasps need one.
+    T_base_object: as the robot believes it, None when registration was refused or the object is out
+    of view. cloud: the model (n, 3) m of an accepted frame, base frame, where the scenario's grasps
+    need one.
     """
 
     T_base_object: Array | None
@@ -37,9 +44,9 @@ class Sight:
 
 
 class Perceiver(Protocol):
-    """Looks at the world through the wrist camera at a frame; T_base_hand is what the joints say."""
+    """Perceives the object through the wrist camera in a frame."""
 
-    def see(self, frame: int, t_ns: int, world: World) -> Sight: ...
+    def perceive(self, frame: int, t_ns: int, world: World) -> PerceivedObject: ...
 
 
 def depth_profile(scenario: Scenario) -> DepthProfile:
@@ -60,7 +67,7 @@ def depth_profile(scenario: Scenario) -> DepthProfile:
 
 
 def true_cameras(scenario: Scenario, plan: Plan) -> tuple[Camera, Camera]:
-    """Colour and depth camera where they really are: the believed place and the hand-eye fault."""
+    """Colour and depth camera at their true poses: the believed pose and the hand-eye fault."""
     profile = depth_profile(scenario)
     size = scenario.camera.width, scenario.camera.height
     T_hand_true = scenario.gripper.T_hand_camera @ increment(np.array(plan.faults.hand_eye))
@@ -71,9 +78,10 @@ def true_cameras(scenario: Scenario, plan: Plan) -> tuple[Camera, Camera]:
 
 
 class ModelledPerception:
-    """Truth through the true camera, believed through the calibrated one, with bias, drift, noise and loss of sight.
+    """Truth through the true camera, believed through the calibrated one.
 
-    Stands in for tracking and registration where a trial is simulated without images.
+    It has bias, drift, noise and loss of the object from view. It stands in for tracking and
+    registration where a trial is simulated without images.
     """
 
     def __init__(self, scenario: Scenario, plan: Plan, world: World) -> None:
@@ -81,25 +89,25 @@ class ModelledPerception:
         self._camera = true_cameras(scenario, plan)[0]
         self._min_range = depth_profile(scenario).min_range
         self._points = surface_points(
-            world.thing, 200, generator(0, f"points/{world.thing.name}", 0)
+            world.target, 200, generator(0, f"points/{world.target.name}", 0)
         )
         self._bias = increment(np.array(plan.faults.registration_bias))
         self._model: ModelledCloud | None = None
         if scenario.grasps == "ffhnet":
             self._model = ModelledCloud(
-                world.thing, scenario.pipeline.fusion.max_model_points, plan
+                world.target, scenario.pipeline.fusion.max_model_points, plan
             )
 
-    def see(self, frame: int, t_ns: int, world: World) -> Sight:  # noqa: ARG002  the protocol's
+    def perceive(self, frame: int, t_ns: int, world: World) -> PerceivedObject:  # noqa: ARG002  the protocol's
         T_base_hand = world.T_base_hand()
         T_camera_object = invert(T_base_hand @ self._camera.T_hand_camera) @ world.T_base_object()
-        seen = transform(T_camera_object, self._points)
+        in_camera = transform(T_camera_object, self._points)
         k = self._camera.intrinsics
-        pixels = k.project(np.column_stack([seen[:, :2], np.maximum(seen[:, 2], 1e-3)]))
+        pixels = k.project(np.column_stack([in_camera[:, :2], np.maximum(in_camera[:, 2], 1e-3)]))
         inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < k.width) & (pixels[:, 1] < k.height)
-        near_side = seen[:, 2] <= np.median(seen[:, 2])  # what the camera sees of it
-        if (inside & (seen[:, 2] > self._min_range))[near_side].mean() < MIN_SHARE:
-            return Sight(None)
+        near_side = in_camera[:, 2] <= np.median(in_camera[:, 2])  # what the camera sees of it
+        if (inside & (in_camera[:, 2] > self._min_range))[near_side].mean() < MIN_SHARE:
+            return PerceivedObject(None)
         rng = generator(self._plan.seed, f"perception/{self._plan.index}", frame)
         noise = np.concatenate(
             [
@@ -115,17 +123,20 @@ class ModelledPerception:
             @ increment(noise)
         )
         T[:3, 3] += np.array(self._plan.faults.tracker_drift) * world.t
-        return Sight(
+        return PerceivedObject(
             T,
             None if self._model is None else transform(T, self._model.step(frame, T_camera_object)),
         )
 
 
 class ModelledCloud:
-    """The fused model of modelled perception: what the camera has seen of the surface so far, as first measured."""
+    """The fused model of modelled perception.
 
-    def __init__(self, thing: ObjectModel, most: int, plan: Plan) -> None:
-        self._surface = surface_points(thing, 2 * most, generator(0, f"model/{thing.name}", 0))
+    It holds the parts of the surface that the camera has seen so far, as first measured.
+    """
+
+    def __init__(self, target: ObjectModel, most: int, plan: Plan) -> None:
+        self._surface = surface_points(target, 2 * most, generator(0, f"model/{target.name}", 0))
         self._most, self._plan = most, plan
         self._points = np.empty((0, 3))
         self._known = np.zeros(len(self._surface), bool)

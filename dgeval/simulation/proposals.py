@@ -1,4 +1,7 @@
-"""Where the closed loop's grasps come from: FFHNet on the model cloud, or known grasps with an analytic score."""
+"""Where the closed loop's grasps come from: FFHNet on the model cloud, or known grasps.
+
+Known grasps have an analytic score.
+"""
 
 from __future__ import annotations
 
@@ -14,24 +17,25 @@ from dgeval.geometry import Array, invert, rotation_angle
 from dgeval.planning.grasps import (
     EncodedCloud,
     Networks,
+    approach_free,
     encode_cloud,
     evaluate,
     free_of,
     overlap_allowed,
     propose,
-    way_free,
 )
 from dgeval.simulation.grasps import KnownGrasp
-from dgeval.simulation.perception import Sight
+from dgeval.simulation.perception import PerceivedObject
 from dgeval.simulation.scenario import EvaluatorConfig
 
 
 @dataclass(frozen=True)
 class Proposals:
-    """Candidates that move with the object as the robot believes it: T_object_palm (n, 4, 4), preshapes (n, 15), scores (n,).
+    """Candidates that move with the object as the robot believes it.
 
-    cloud: what they were drawn for, in axes view with T_view_object; None of known grasps. kept: the last one is the grasp
-    chosen before.
+    T_object_palm (n, 4, 4), preshapes (n, 15) rad, scores (n,). cloud: what they were drawn for, in
+    axes view with T_view_object; None of known grasps. support: normal (3,) and height m of the
+    support in those axes. kept: the last candidate is the grasp chosen before.
     """
 
     T_object_palm: Array
@@ -44,15 +48,21 @@ class Proposals:
     kept: bool = False
 
     def free(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Whether the hand at candidates (k,) lies outside the cloud they were drawn for; known grasps always do."""
+        """Whether the hand at candidates (k,) lies outside the cloud they were drawn for.
+
+        Known grasps always do.
+        """
         if self.cloud is None or self.T_view_object is None or self.config is None:
             return np.ones(len(rows), bool)
         poses = self.T_view_object @ self.T_object_palm[rows]
         most = overlap_allowed(rows, len(self.scores), self.kept, self.config.max_overlap)
         return free_of(self.cloud, poses, self.preshapes[rows], self.support, most)
 
-    def way_free(self, row: int, T_object_hand: Array) -> bool:
-        """Whether the way to a candidate is free from where the palm is; that to the one chosen before is not asked again."""
+    def approach_free(self, row: int, T_object_hand: Array) -> bool:
+        """Whether the approach to a candidate from the palm's pose is free.
+
+        The approach to the grasp chosen before is not checked again.
+        """
         if (
             self.cloud is None
             or self.T_view_object is None
@@ -62,16 +72,16 @@ class Proposals:
             return True
         hand = (self.T_view_object @ T_object_hand)[:3, 3]
         pose = self.T_view_object @ self.T_object_palm[row]
-        return way_free(self.cloud, pose, self.preshapes[row], hand, self.support, self.config)
+        return approach_free(self.cloud, pose, self.preshapes[row], hand, self.support, self.config)
 
 
 class GraspSource(Protocol):
-    """Gives candidates for a frame, and says how good a palm pose is (GraspEval of the paper)."""
+    """Gives candidates for a frame, and scores a palm pose (GraspEval of the paper)."""
 
     def propose(
         self,
         frame: int,
-        sight: Sight,
+        perceived: PerceivedObject,
         T_base_object: Array,
         T_base_camera: Array,
         kept: tuple[Array, Array] | None,
@@ -90,7 +100,10 @@ class GraspSource(Protocol):
 
 
 class KnownGrasps:
-    """Stand-in for FFHNet: grasps checked in physics; the score says how near the palm is to the one chosen."""
+    """Stand-in for FFHNet: grasps checked in physics.
+
+    The score says how near the palm is to the chosen grasp.
+    """
 
     def __init__(self, grasps: Sequence[KnownGrasp], config: EvaluatorConfig) -> None:
         self._config = config
@@ -118,7 +131,9 @@ class KnownGrasps:
 def analytic_score(
     T_base_palm: Array, T_base_grasp: Array, quality: float, c: EvaluatorConfig
 ) -> float:
-    """How near the palm is to a grasp that is known to hold, and how well that holds."""
+    """Score of a palm pose: its nearness to a grasp that is known to hold, times that one's
+    quality.
+    """
     d = float(np.linalg.norm(T_base_palm[:3, 3] - T_base_grasp[:3, 3]))
     angle = rotation_angle(T_base_palm[:3, :3].T @ T_base_grasp[:3, :3])
     return float(
@@ -128,7 +143,9 @@ def analytic_score(
 
 
 class FFHNetGrasps:
-    """The paper's: candidates drawn anew for the model cloud of every accepted frame, poses judged by its evaluator."""
+    """The paper's grasps: drawn anew for the model cloud of every accepted frame,
+    scored by FFHNet.
+    """
 
     def __init__(self, networks: Networks, config: GraspsConfig, seed: int, index: int) -> None:
         self._networks, self._config, self._seed, self._index = networks, config, seed, index
@@ -137,19 +154,19 @@ class FFHNetGrasps:
     def propose(
         self,
         frame: int,
-        sight: Sight,
+        perceived: PerceivedObject,
         T_base_object: Array,
         T_base_camera: Array,
         kept: tuple[Array, Array] | None,
     ) -> Proposals | None:
-        if sight.cloud is None:
+        if perceived.cloud is None:
             return (
                 self._last
             )  # the model and its grasps as they were, moved along with the prediction
         R_cloud_base = self._networks.R_cloud_base(T_base_camera)  # its origin stays the base's
         z = self._config.support_z
         support = None if z is None else (R_cloud_base[:, 2], z)
-        cloud = encode_cloud(sight.cloud @ R_cloud_base.T, self._networks, support)
+        cloud = encode_cloud(perceived.cloud @ R_cloud_base.T, self._networks, support)
         T_view_object = np.eye(4)
         T_view_object[:3] = R_cloud_base @ T_base_object[:3]
         again = None if kept is None else (T_view_object @ kept[0], kept[1])

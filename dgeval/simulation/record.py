@@ -1,4 +1,7 @@
-"""A finished trial as a recording in the contract of real logs (DESIGN section 3), beliefs and truth included."""
+"""A finished trial as a recording, in the contract of real logs (DESIGN section 3).
+
+It also holds the robot's beliefs and the truth.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,7 @@ from dgeval.recording.write import (
 )
 from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
 from dgeval.robots.urdf import CAMERA_FRAME, robot_urdf
-from dgeval.simulation.render import Eyes
+from dgeval.simulation.render import Renderer
 from dgeval.simulation.scenario import Scenario
 from dgeval.simulation.seeing import Images, encode
 from dgeval.simulation.trial import FrameBelief, Run
@@ -60,42 +63,62 @@ from dgeval.simulation.world import World, matrix_of
 from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
 from dgeval.worlds.objects import surface_points
 
-START_NS = 1_800_000_000_000_000_000
-BASE = "base_link"
-JOINT_NOISE, SPEED_NOISE, EFFORT_NOISE = 1e-4, 2e-3, 0.02  # rad, rad/s, Nm; 1 sigma
+START_NS = 1_800_000_000_000_000_000  # ns, time stamp of every recording's first message; ours
+BASE = "base_link"  # the base frame
+JOINT_NOISE, SPEED_NOISE, EFFORT_NOISE = 1e-4, 2e-3, 0.02  # rad, rad/s, Nm; 1 sigma; ours
 DEPTH_TOPIC = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
 COLOUR_TOPIC = "/camera/color/image_raw/compressed"
-MODELLED = "simulated: tracking and registration in the loop are modelled (truth with drawn errors), not TransT-M and ICP"
-RENDERED = "simulated: the model tracker stands in for TransT-M in the loop; registration, fusion and estimation ran on images"
+# Notes that a recording's start event carries.
+MODELLED = (
+    "simulated: tracking and registration in the loop are modelled (truth with drawn errors), "
+    "not TransT-M and ICP"
+)
+RENDERED = (
+    "simulated: the model tracker stands in for TransT-M in the loop; "
+    "registration, fusion and estimation ran on images"
+)
 VFAS = [
     "simulated: VFAS-Grasp with dgeval's own evaluator; DIS stands in for GMFlow",
-    "simulated: seeds are grasps known to hold, with a drawn error, in place of Contact-GraspNet's; fingers slide",
+    "simulated: seeds are grasps known to hold, with a drawn error, "
+    "in place of Contact-GraspNet's; fingers slide",
 ]
 GRASPS = {
-    "analytic": "simulated: grasps from an analytic sampler checked in physics and an analytic score stand in for FFHNet",
+    "analytic": (
+        "simulated: grasps from an analytic sampler checked in physics "
+        "and an analytic score stand in for FFHNet"
+    ),
     "ffhnet": "simulated: grasps and scores by FFHNet with dgeval's own weights",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What was written: frames, and the box of the target in the first frame (x0 y0 x1 y1 px), None if not seen."""
+    """What was written: how many frames, and the box of the target in the first one.
+
+    bbox: x0 y0 x1 y1 px; None if the target is not visible.
+    """
 
     frames: int
     bbox: tuple[float, float, float, float] | None
 
 
 def write_recording(
-    path: Path, run: Run, verdict: dict[str, Any], twin: Array, scenario: Scenario, world: World, eyes: Eyes,
+    path: Path,
+    run: Run,
+    verdict: dict[str, Any],
+    twin: Array,
+    scenario: Scenario,
+    world: World,
+    renderer: Renderer,
     kept: dict[int, Images],
-) -> Recorded:  # fmt: skip
-    """Write everything in time order. `world` and `eyes` have the run's cameras.
+) -> Recorded:
+    """Write everything in time order. `world` and `renderer` have the run's cameras.
 
-    kept: images drawn in the loop, by frame; the others are drawn now. verdict: what `verdict_document` gave; twin: the
-    undisturbed path, rows per control period.
+    kept: images drawn in the loop, by frame; the others are drawn now. verdict: what
+    `verdict_document` gave. twin: the undisturbed path, rows per control period.
     """
     box: tuple[float, float, float, float] | None = None
-    camera = eyes.cameras[0].intrinsics
+    camera = renderer.cameras[0].intrinsics
     by_tick = {f.tick: f for f in run.frames}
     first: Array | None = None
     with open_writer(path) as writer:
@@ -115,11 +138,11 @@ def write_recording(
             if belief is None:
                 continue
             if box is None and belief.index == run.frames[0].index:
-                box = eyes.box()
+                box = renderer.box()
             images = (
                 kept[belief.index]
                 if belief.index in kept
-                else _draw(eyes, belief, scenario.camera.jpeg_quality)
+                else _draw(renderer, belief, scenario.camera.jpeg_quality)
             )
             writer.write(
                 "/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera)
@@ -139,10 +162,11 @@ def write_recording(
                     invert(world.T_base_hand() @ world.gripper.T_hand_camera) @ belief.T_base_object
                 )
                 if first is None:
-                    # the model frame is the camera of the first accepted frame, carried with the object
+                    # the model frame is the camera of the first accepted frame, and moves with
+                    # the object
                     first = T_camera_object
                     points = surface_points(
-                        world.thing, 500, generator(run.plan.seed, "model", run.plan.index)
+                        world.target, 500, generator(run.plan.seed, "model", run.plan.index)
                     )
                     cloud = transform(first, points)
                 T_camera_model = T_camera_object @ invert(first)
@@ -165,15 +189,15 @@ def write_recording(
     return Recorded(len(run.frames), box)
 
 
-def _draw(eyes: Eyes, belief: FrameBelief, quality: int) -> Images:
-    colour, depth, mask = eyes.look(belief.index, mask=belief.accepted)
+def _draw(renderer: Renderer, belief: FrameBelief, quality: int) -> Images:
+    colour, depth, mask = renderer.images(belief.index, mask=belief.accepted)
     return Images(encode(colour, quality), depth, mask)
 
 
 def verdict_document(
     run: Run, truth: Truth, blame: dict[str, Any] | None, scenario: Scenario
 ) -> dict[str, Any]:
-    """Everything that is known for certain about a trial, as one JSON object (`/truth/verdict`)."""
+    """Everything known for certain about a trial, as one JSON object (`/truth/verdict`)."""
     plan = run.plan
     return {
         "outcome": truth.outcome,

@@ -1,4 +1,7 @@
-"""Images of a world through its wrist cameras: colour, and depth as a stereo camera measures it, aligned to colour."""
+"""Images of a world through its wrist cameras: colour, and depth aligned to colour.
+
+Depth is what a stereo camera measures.
+"""
 
 from __future__ import annotations
 
@@ -22,23 +25,24 @@ from dgeval.worlds.objects import OBJECT_GROUP
 from dgeval.worlds.scene import BELT_GROUP, Camera
 
 
-class Seen(Protocol):
+class Drawable(Protocol):
     """A world that can be drawn."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
 
 
-class Eyes:
+class Renderer:
     """Draws one world's `colour` and `depth` cameras. Close it: graphics memory is not collected.
 
-    `mujoco.Renderer` would do, but shades the whole floor before the belt hides it and takes segment numbers apart in
-    32 bits: drawing the floor last, and a look-up of bytes, give the same pixels in less time.
+    `mujoco.Renderer` gives the same pixels in more time: it shades the whole floor before the belt
+    hides it, and takes segment numbers apart in 32 bits. Here the floor is drawn last, and segment
+    numbers are looked up as bytes.
     """
 
     def __init__(
         self,
-        world: Seen,
+        world: Drawable,
         cameras: tuple[Camera, Camera],
         profile: DepthProfile,
         seed: int,
@@ -53,25 +57,27 @@ class Eyes:
             self._gl.make_current()
             self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
         except Exception as error:
-            what = f"images can't be drawn on this machine ({type(error).__name__}: {error})"
+            message = f"images can't be drawn on this machine ({type(error).__name__}: {error})"
             raise UsageError(
-                what, hint="on Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri"
+                message, hint="on Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri"
             ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self._area = mujoco.MjrRect(0, 0, size.width, size.height)
         self._scene = mujoco.MjvScene(model, maxgeom=1000)
-        self._seen, self._belt, self._floor, self._object = (mujoco.MjvOption() for _ in range(4))
-        for option in (self._seen, self._belt, self._floor, self._object):
+        self._visible, self._belt, self._floor, self._object = (
+            mujoco.MjvOption() for _ in range(4)
+        )
+        for option in (self._visible, self._belt, self._floor, self._object):
             option.geomgroup[:] = 0
-        self._seen.geomgroup[:3], self._belt.geomgroup[BELT_GROUP], self._floor.geomgroup[0] = (
+        self._visible.geomgroup[:3], self._belt.geomgroup[BELT_GROUP], self._floor.geomgroup[0] = (
             1,
             1,
             1,
         )
         self._object.geomgroup[OBJECT_GROUP] = 1
 
-    def __enter__(self) -> Eyes:
+    def __enter__(self) -> Renderer:
         return self
 
     def __exit__(
@@ -84,21 +90,25 @@ class Eyes:
         self._gl.free()
 
     def _draw(self, camera: str, segments: bool) -> None:
-        """The scene as it stands into the offscreen buffer; `segments`: flat, numbered surfaces."""
+        """Draw the scene as it stands into the offscreen buffer.
+
+        segments: as flat, numbered surfaces.
+        """
         model, data, scene, view = (
             self._world.model,
             self._world.data,
             self._scene,
-            self._from(camera),
+            self._view_of(camera),
         )
         still, moving = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
-        # what stands on the belt touches it: at equal depth the order decides, so only the floor far below is drawn last
+        # What stands on the belt touches it, and at equal depth the order of drawing decides. So
+        # only the floor, which lies far below, is drawn last.
         mujoco.mjv_updateScene(model, data, self._belt, mujoco.MjvPerturb(), view, still, scene)
-        mujoco.mjv_addGeoms(model, data, self._seen, mujoco.MjvPerturb(), moving, scene)
+        mujoco.mjv_addGeoms(model, data, self._visible, mujoco.MjvPerturb(), moving, scene)
         mujoco.mjv_addGeoms(model, data, self._floor, mujoco.MjvPerturb(), still, scene)
         self._render(segments)
 
-    def _from(self, camera: str) -> mujoco.MjvCamera:
+    def _view_of(self, camera: str) -> mujoco.MjvCamera:
         view = mujoco.MjvCamera()
         view.type, view.fixedcamid = (
             mujoco.mjtCamera.mjCAMERA_FIXED,
@@ -120,15 +130,19 @@ class Eyes:
         return out[::-1]
 
     def _nearness(self) -> NDArray[np.float32]:
-        """OpenGL's reversed depth buffer (H, W), bottom row first, 0 where nothing is."""
+        """OpenGL's reversed depth buffer (H, W), bottom row first, 0 where there is no surface."""
         out = np.empty((self._area.height, self._area.width), np.float32)
         mujoco.mjr_readPixels(None, out, self._area, self._context)
         return out
 
-    def look(
+    def images(
         self, frame: int, mask: bool = False
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_] | None]:
-        """Colour (H, W, 3) RGB, aligned depth (H, W) in the profile's units, wanted or not `mask()`, of the world."""
+        """Colour (H, W, 3) RGB, aligned depth (H, W) in the profile's units, and the object's mask.
+
+        mask: whether to draw the mask, as `mask()` gives it; else it is None. frame: number of the
+        frame, for the noise.
+        """
         self._draw("colour", False)
         colour = np.ascontiguousarray(self._pixels())
         shown = self._mask_in(self._nearness()) if mask else None
@@ -149,14 +163,17 @@ class Eyes:
         return np.asarray(cv2.add(colour, noise, dtype=cv2.CV_8U), dtype=np.uint8), aligned, shown
 
     def _mask_in(self, nearness: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """`mask()` from the depth buffer of the whole scene: where the object alone, drawn without the rest, is as near."""
+        """The mask from the depth buffer of the whole scene.
+
+        It holds the pixels where the object, drawn alone, is as near as the scene.
+        """
         dynamic = mujoco.mjtCatBit.mjCAT_DYNAMIC.value
         mujoco.mjv_updateScene(
             self._world.model,
             self._world.data,
             self._object,
             mujoco.MjvPerturb(),
-            self._from("colour"),
+            self._view_of("colour"),
             dynamic,
             self._scene,
         )
@@ -165,7 +182,7 @@ class Eyes:
         return np.asarray(((alone == nearness) & (alone > 0))[::-1])
 
     def exact_depth(self, camera: str) -> NDArray[np.float32]:
-        """Depth (H, W) m without error, 0 where nothing is."""
+        """Depth (H, W) m without error, 0 where there is no surface."""
         # flat surfaces: MuJoCo's depth of them is the more exact far away
         self._draw(camera, True)
         depth = self._nearness()
@@ -184,7 +201,7 @@ class Eyes:
         return exact
 
     def box(self) -> tuple[float, float, float, float] | None:
-        """x0 y0 x1 y1 px around what is seen of the object, None where nothing is."""
+        """x0 y0 x1 y1 px around the visible part of the object, None if nothing is visible."""
         v, u = np.nonzero(self.mask())
         return (
             (float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1))

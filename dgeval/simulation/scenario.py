@@ -44,35 +44,47 @@ class FaultConfig(_Section):
 
 
 class PerceptionNoise(_Section):
-    """Of the modelled perception, per accepted frame; as replay shows on simulated recordings."""
+    """Noise of the modelled perception, per accepted frame; as replay shows on simulated
+    recordings.
+    """
 
     position: float = Field(0.001, ge=0, description="m, each axis")
     angle: float = Field(0.6, ge=0, description="degrees, each axis")
 
 
 class EvaluatorConfig(_Section):
-    """The score that stands in for FFHNet's evaluator: (0.5 + 0.5 quality) exp(-d^2/2s_t^2 - a^2/2s_r^2)."""
+    """The score that stands in for FFHNet's evaluator.
+
+    It is (0.5 + 0.5 quality) exp(-d^2/2s_t^2 - a^2/2s_r^2), with the palm's distance d and angle a
+    from the grasp.
+    """
 
     position: float = Field(0.009, gt=0, description="s_t, m")
     angle: float = Field(8.0, gt=0, description="s_r, degrees")
 
 
 class PresenterConfig(_Section):
-    """A person hands the object over in place of a belt; the tremor's standard deviations."""
+    """A person hands the object over in place of a belt; standard deviations of the tremor."""
 
     tremor_m: float = Field(0.003, ge=0, description="m, each axis")
     tremor_deg: float = Field(1.5, ge=0, description="degrees, each axis")
 
 
 class TableConfig(_Section):
-    """Several objects on the table (VFAS-Grasp, section IV-A): arrangements, each with half of the objects in turn."""
+    """Several objects on the table (VFAS-Grasp, section IV-A).
+
+    Each arrangement holds half of the objects in turn.
+    """
 
     arrangements: int = Field(10, ge=1)
     objects: int = Field(4, ge=1, le=4, description="in an arrangement")
 
 
 class TurntableConfig(_Section):
-    """The object stands on a disc that turns (VFAS-Grasp, section IV-B); each radius is one nominal speed."""
+    """The object stands on a disc that turns (VFAS-Grasp, section IV-B).
+
+    Each radius is one nominal speed.
+    """
 
     radii: tuple[float, ...] = Field(
         (0.06, 0.10, 0.14), description="m of the object from the axis"
@@ -83,7 +95,7 @@ class TurntableConfig(_Section):
 
 
 class SeedConfig(_Section):
-    """The seed grasp: one that is known to hold, as another planner would have found it: with an error."""
+    """The seed grasp: one that is known to hold, with an error as of another planner."""
 
     position: float = Field(
         0.015,
@@ -115,11 +127,13 @@ class Scenario(_Section):
     depth_level: int = Field(4, ge=0, le=9, description="PNG compression of depth")
     perception: Literal["modelled", "rendered"] = Field(
         "modelled",
-        description="in the loop: truth with errors, or the pipeline's own stages on rendered images",
+        description="in the loop: truth with errors, "
+        "or the pipeline's own stages on rendered images",
     )
     grasps: Literal["ffhnet", "analytic"] = Field(
         "ffhnet",
-        description="in the loop: the shipped FFHNet on the model cloud, or known grasps with an analytic score",
+        description="in the loop: the shipped FFHNet on the model cloud, "
+        "or known grasps with an analytic score",
     )
     plans_of: str | None = Field(
         None, description="draw the same trials as the scenario of that name"
@@ -132,7 +146,8 @@ class Scenario(_Section):
     faults_at_most: int | None = Field(
         None,
         ge=1,
-        description="draw 1 to this many faults with the shares as weights; default: each by its own share",
+        description="draw 1 to this many faults with the shares as weights; "
+        "default: each by its own share",
     )
     pipeline: Config = Config()
 
@@ -148,9 +163,11 @@ class Scenario(_Section):
 
 @dataclass(frozen=True)
 class Plan:
-    """One trial as drawn: belt speed m/s along +y with sign, start x, y m and yaw rad of the object, y of the hand.
+    """One trial as drawn.
 
-    others: names, x, y, yaw of what else stands on the table.
+    speed: of the belt, m/s along +y with sign. x, y m and yaw rad: the object's start. home_y m: y
+    of the hand at the start. others: name, x, y, yaw of each other object on the table.
+    close_jitter s: added to the close time.
     """
 
     id: str
@@ -170,7 +187,7 @@ class Plan:
 
     @property
     def nominal_speed(self) -> float:
-        """Of the object, m/s: its belt's, with sign, or that of where it stands on a turning disc."""
+        """Speed of the object, m/s: of its belt, with sign, or of its place on a turning disc."""
         if self.turn is None:
             return self.speed
         radius = np.hypot(self.x - TURNTABLE_CENTRE[0], self.y - TURNTABLE_CENTRE[1])
@@ -205,7 +222,10 @@ def load_scenario(name: str) -> Scenario:
 
 @dataclass(frozen=True)
 class MadeFrom:
-    """What a manifest's recordings were simulated from, and their SHA-256 by trial on the platform it names."""
+    """What a manifest's recordings were simulated from.
+
+    sha256: of the recordings by trial, on the platform that it names.
+    """
 
     scenario: str
     seed: int
@@ -217,25 +237,28 @@ class MadeFrom:
 def load_manifest(path: Path) -> MadeFrom | None:
     """The `[simulate]` part of a manifest; None of a file without one (a scenario)."""
     values = read_toml(path)
-    about = values.get("simulate")
-    if not isinstance(about, dict):
+    section = values.get("simulate")
+    if not isinstance(section, dict):
         return None
     try:
         hashes = {str(t["id"]): str(t["sha256"]) for t in values.get("trial", []) if "sha256" in t}
-        name, indices = str(about["scenario"]), tuple(int(i) for i in about["indices"])
-        return MadeFrom(name, int(about["seed"]), indices, str(about["platform"]), hashes)
+        name, indices = str(section["scenario"]), tuple(int(i) for i in section["indices"])
+        return MadeFrom(name, int(section["seed"]), indices, str(section["platform"]), hashes)
     except (KeyError, TypeError, ValueError) as error:
         raise UsageError(
             f"manifest: [simulate] is not complete ({error})", Place(str(path))
         ) from error
 
 
-def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, index: int) -> Plan:
-    """Trial `index`: objects and speeds in turn (each object once at every speed), the rest drawn."""
-    names = scenario.objects or tuple(things)
-    missing = [n for n in names if n not in things]
+def plan_trial(scenario: Scenario, objects: dict[str, ObjectModel], seed: int, index: int) -> Plan:
+    """Trial `index`: objects and speeds in turn, the rest drawn.
+
+    Each object comes once at every speed.
+    """
+    names = scenario.objects or tuple(objects)
+    missing = [n for n in names if n not in objects]
     if missing:
-        raise UsageError(f"scenario: no object {missing[0]!r}", hint=f"known: {', '.join(things)}")
+        raise UsageError(f"scenario: no object {missing[0]!r}", hint=f"known: {', '.join(objects)}")
     name = names[index % len(names)]
     speed = scenario.speeds[index // len(names) % len(scenario.speeds)]
     drawn_as = scenario.plans_of or scenario.name
@@ -244,9 +267,8 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
     yaw = float(rng.uniform(-3.14159, 3.14159))
     x = 0.47 + float(rng.uniform(-0.06, 0.06))
     y = -direction * min(0.42, 0.05 + 1.9 * speed) + float(rng.uniform(-0.02, 0.02))
-    home_y = min(
-        max(y + float(rng.uniform(-0.09, 0.09)), -0.45), 0.45
-    )  # the hand doesn't start right above the object
+    # the hand doesn't start right above the object
+    home_y = min(max(y + float(rng.uniform(-0.09, 0.09)), -0.45), 0.45)
     wanted: list[str] | None = None
     if scenario.faults_at_most is not None and scenario.faults:
         weights = np.array([f.share for f in scenario.faults.values()])
@@ -258,9 +280,8 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
             )
         ]
     values: dict[str, Any] = {}
-    for fault in (
-        Faults.__dataclass_fields__
-    ):  # each from its own draws, so that adding one changes no other
+    # each from its own draws, so that adding one changes no other
+    for fault in Faults.__dataclass_fields__:
         own = generator(seed, f"plan/{drawn_as}/{fault}", index)
         config = scenario.faults.get(fault)
         drawn = own.random() < (config.share if config is not None else 0.0)
@@ -272,7 +293,7 @@ def plan_trial(scenario: Scenario, things: dict[str, ObjectModel], seed: int, in
         own = generator(seed, f"plan/{drawn_as}/presenter", index)
         presenter = draw_presenter(
             own,
-            things[name].extent(),
+            objects[name].extent(),
             x,
             y,
             yaw,

@@ -1,4 +1,4 @@
-"""What a trial's object stands among: other objects, a turntable, a presenter."""
+"""What surrounds a trial's object: other objects, a turntable, a presenter."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from dgeval.worlds.presenter import Presenter
 
 @dataclass(frozen=True)
 class Turn:
-    """A turntable: at rest until `start` s, then at `speed` rad/s (signed) through `angle` rad (> 0), then at rest."""
+    """A turntable's motion: at rest, then turning, then at rest again.
+
+    It turns from time `start`, s, at `speed`, rad/s (signed), through `angle`, rad (> 0).
+    """
 
     start: float
     speed: float
@@ -29,14 +32,18 @@ class Turn:
 
 @dataclass(frozen=True)
 class Setting:
-    """What stands about beside the object and its belt: other objects with x, y m and yaw rad; a presenter; a turntable."""
+    """What surrounds the object beside its belt.
+
+    others: objects with x, y m and yaw rad. presenter: a person who hands the object over. turn: a
+    turntable.
+    """
 
     others: tuple[tuple[ObjectModel, float, float, float], ...] = ()
     presenter: Presenter | None = None
     turn: Turn | None = None
 
     def put(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """The other objects to where they stand, at the start."""
+        """Put the other objects where they stand at the start."""
         for k, (other, x, y, yaw) in enumerate(self.others):
             at = int(model.joint(f"other_{k}").qposadr[0])
             data.qpos[at : at + 7] = [
@@ -50,7 +57,7 @@ class Setting:
             ]
 
     def drive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Presenter and turntable as they are at the data's time; before each step."""
+        """Set presenter and turntable for the data's time; called before each step."""
         if self.presenter is not None:
             present(self.presenter, data)
         if self.turn is not None:
@@ -58,5 +65,5 @@ class Setting:
 
 
 def present(presenter: Presenter, data: mujoco.MjData) -> None:
-    """The presenter's hand to where it is at the data's time."""
+    """Move the presenter's hand to its pose at the data's time."""
     data.mocap_pos[0], data.mocap_quat[0] = presenter.pose(float(data.time))

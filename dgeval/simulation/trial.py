@@ -1,6 +1,7 @@
-"""One trial in closed loop: perception, estimation, grasp choice, servo and execution drive the arm until it has lifted.
+"""One trial in closed loop, from the start until the arm has lifted.
 
-Estimation, selection, servo, execution and schedule are the stages that replay runs, at 100 Hz on the newest usable frame.
+Estimation, selection, servo, execution and schedule are the stages that replay runs, at 100 Hz on
+the newest usable frame.
 """
 
 from __future__ import annotations
@@ -24,14 +25,17 @@ from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import FINISH_S, Finish, Finisher, Snapshot, World, home
 from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
 
-MAX_TWIST = np.array([0.7, 0.7, 0.7, 2.0, 2.0, 2.0])  # m/s, rad/s
-REACHED = 1e-3  # m + 0.1 m per rad, of the inverse kinematics
-REACH = 0.62  # m along the belt; beyond it the arm gives up
+MAX_TWIST = np.array([0.7, 0.7, 0.7, 2.0, 2.0, 2.0])  # m/s, rad/s, of the palm; ours
+REACHED = 1e-3  # m + 0.1 m per rad, most error of inverse kinematics for a pose in reach; ours
+REACH = 0.62  # m along the belt; beyond it the arm gives up; ours
 
 
 @dataclass(frozen=True, slots=True)
 class Usable:
-    """A frame's result as the controller gets it: image time s, believed T_base_object, velocity (3,) m/s, candidates."""
+    """A frame's result as the controller gets it.
+
+    t: image time, s. T_base_object: believed. velocity (3,) m/s. proposals: candidates.
+    """
 
     t: float
     T_base_object: Array
@@ -41,10 +45,11 @@ class Usable:
 
 @dataclass(frozen=True)
 class Tick:
-    """One control period: state before it, and what the robot believed and commanded in it.
+    """One control period: the state before it, and what the robot believed and commanded in it.
 
-    preshape (15,): of the grasp chosen. touch.object, touch.other: the hand touches the object, or anything else. distance: hand to
-    object, m, up to NEAR, in every third period of the approach.
+    preshape (15,) rad: of the chosen grasp. velocity (3,) m/s: of the object. twist (6,) m/s,
+    rad/s: of the palm. contact, foreign: the hand touches the object, or anything else. distance:
+    hand to object, m, up to NEAR, in every third period of the approach.
     """
 
     snapshot: Snapshot
@@ -62,9 +67,10 @@ class Tick:
 
 @dataclass(frozen=True)
 class FrameBelief:
-    """A camera frame: its number (dropped ones count), control period, whether its registration was accepted.
+    """A camera frame: its number (dropped ones count), control period, and acceptance.
 
-    T_base_object: believed then, predicted where not accepted; velocity: the filter's word, m/s.
+    accepted: whether its registration was. T_base_object: believed then, predicted where not
+    accepted. velocity: the filter's estimate, m/s.
     """
 
     index: int
@@ -89,7 +95,7 @@ class Run:
 
 
 def frame_ticks(rate: float, seconds: float) -> list[int]:
-    """Control periods nearest to the camera's images."""
+    """The control periods nearest to the camera's images. rate in Hz."""
     return [round(k / rate / CONTROL_S) for k in range(int(seconds * rate))]
 
 
@@ -120,13 +126,15 @@ def run_trial(
             if generator(plan.seed, f"drop/{plan.index}", n_frame).random() < scenario.camera.drop:
                 run.dropped.append(tick)
             else:
-                seen = perceiver.see(n_frame, t_ns, world)
-                sight = seen.T_base_object
-                estimate = velocity_filter.step(t_ns, None if sight is None else sight[:3, 3])
+                perceived = perceiver.perceive(n_frame, t_ns, world)
+                T_perceived = perceived.T_base_object
+                estimate = velocity_filter.step(
+                    t_ns, None if T_perceived is None else T_perceived[:3, 3]
+                )
                 velocity = (
                     None if estimate is None else estimate.velocity + np.array(faults.velocity_bias)
                 )
-                T = sight
+                T = T_perceived
                 if (
                     T is None
                     and run.frames
@@ -135,10 +143,10 @@ def run_trial(
                 ):
                     T = run.frames[-1].T_base_object.copy()
                     T[:3, 3] += velocity * (tick - run.frames[-1].tick) * CONTROL_S
-                run.frames.append(FrameBelief(n_frame, tick, sight is not None, T, velocity))
+                run.frames.append(FrameBelief(n_frame, tick, T_perceived is not None, T, velocity))
                 if T is not None and velocity is not None:
                     proposals = grasps.propose(
-                        n_frame, seen, T, world.T_base_hand() @ hand.T_hand_camera, kept
+                        n_frame, perceived, T, world.T_base_hand() @ hand.T_hand_camera, kept
                     )
                     arriving.step(t_ns, Usable(tick * CONTROL_S, T, velocity, proposals))
             n_frame += 1
@@ -174,7 +182,7 @@ def run_trial(
         if usable is not None:
             T_object = usable.T_base_object.copy()
             velocity_now = usable.velocity
-            # the controller knows its stated latency and makes up for it; it doesn't know of a fault
+            # the controller makes up for its stated latency; it doesn't know of a fault
             T_object[:3, 3] += velocity_now * (tick * CONTROL_S - usable.t - faults.latency)
             proposals = usable.proposals
             chosen = (
@@ -254,25 +262,28 @@ def limited(twist: Array) -> Array:
 
 
 def _ahead(palm: Array, T_grasp: Array, share: float) -> Array:
-    """The palm as it will be nearer to the grasp after `share` time constants of the servo."""
+    """The palm pose after the servo has run for `share` more time constants."""
     T = palm.copy()
     T[:3, 3] = T_grasp[:3, 3] + (palm[:3, 3] - T_grasp[:3, 3]) * np.exp(-share)
     return T
 
 
 class _Chooser:
-    """The best candidate by the dynamic metric that is free and in reach; of one set, what is not is left out for good."""
+    """The best candidate by the dynamic metric that is free and in reach.
+
+    A candidate of a set that is not free or not in reach is left out for good.
+    """
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._of: Proposals | None = None
+        self._proposals: Proposals | None = None
 
     def best(
         self, proposals: Proposals, T_base_object: Array, palm: Array, config: SelectionConfig
     ) -> int | None:
         poses = T_base_object @ proposals.T_object_palm
-        if proposals is not self._of:
-            self._of, self._feasible = proposals, Feasible(proposals.free, self._reaches)
+        if proposals is not self._proposals:
+            self._proposals, self._feasible = proposals, Feasible(proposals.free, self._reaches)
         self._poses, self._T_object_hand = poses, invert(T_base_object) @ palm
         metric = grasp_metric(poses, proposals.scores, palm, config)
         return self._feasible.first(
@@ -280,8 +291,8 @@ class _Chooser:
         )
 
     def _reaches(self, row: int) -> bool:
-        assert self._of is not None
-        if not self._of.way_free(row, self._T_object_hand):
+        assert self._proposals is not None
+        if not self._proposals.approach_free(row, self._T_object_hand):
             return False
         _, residual = self._world.kinematics.solve(
             self._poses[row], self._world.q_set, 100, tolerance=REACHED

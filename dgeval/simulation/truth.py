@@ -1,6 +1,7 @@
-"""Outcome and class of a simulated trial, proved by closing at other times, putting the object back, and moving the palm.
+"""Outcome and class of a simulated trial, proved by simulating it again.
 
-SIMULATION section 5 ("the rule"); the decisions are `taxonomy.classify`'s, the facts are found out here.
+The hand closes at other times, the object is put back, and the palm is moved: SIMULATION section 5
+("the rule"). The decisions are `taxonomy.classify`'s; this module gathers the facts.
 """
 
 from __future__ import annotations
@@ -31,17 +32,20 @@ from dgeval.simulation.world import (
 )
 from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, NEAR, TRUTH_STEP
 
-COARSE = 3  # times the tick, far from the real close
+COARSE = 3  # times the tick, between close times far from the real one; ours
+# m and degrees by which the palm is moved to find a pose without overlap; ours
 FREE_STEPS_M, FREE_STEPS_DEG = (0.0025, 0.005, 0.0075, 0.010), (5.0, 10.0)
-ERROR_STEPS_M = (0.004, 0.008, 0.012, 0.018, 0.026)
+ERROR_STEPS_M = (0.004, 0.008, 0.012, 0.018, 0.026)  # m, palm offsets tried; ours
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What happened and why. `curve`: (offset s, success) of every close time tried, the real one at 0.
+    """What happened and why.
 
-    pose_error_m: smallest palm offset at the close that would have worked, None where none was found or none was looked for.
-    near: thresholds whose shift by 20 % changes the class. twin: rows (pose 7 in MuJoCo's order, velocity 6) per period.
+    curve: (offset s, success) of every close time tried, the real one at 0. pose_error_m: smallest
+    palm offset at the close that would have worked; None if none worked or none was tried. near:
+    thresholds whose shift by 20 % changes the class. twin: rows (pose 7 in MuJoCo's order, velocity
+    6) per control period.
     """
 
     outcome: Outcome
@@ -58,13 +62,16 @@ class Truth:
 
 
 class Prover:
-    """Re-simulates from a run's snapshots. Uses the run's world; every question starts from a restored state."""
+    """Simulates again from a run's snapshots, in the run's world.
+
+    Every question starts from a restored state.
+    """
 
     def __init__(self, run: Run, world: World) -> None:
         self.run, self.world = run, world
         seconds = len(run.ticks) * CONTROL_S + AFTER_CLOSE_S
         self.twin = twin_path(
-            world.thing,
+            world.target,
             run.plan.speed,
             run.plan.x,
             run.plan.y,
@@ -75,15 +82,17 @@ class Prover:
         self.end = run.close if run.close is not None else len(run.ticks) - 1
 
     def closes(self, snapshot: Snapshot, velocity: Array) -> Finish:
-        """Close from a state, follow at a velocity, lift."""
+        """Close from a state, follow at a velocity (3,) m/s, and lift."""
         self.world.restore(snapshot)
         return Finisher(self.world, velocity, self.run.preshape).finish()
 
     def curve(self) -> tuple[tuple[float, bool], ...]:
-        """Success over close time: from the first distance under 8 cm to 0.6 s after the real close.
+        """Success over close time: from the first distance under 8 cm to 0.6 s after the real
+        close.
 
-        Every 30 ms within 0.6 s of the real close. Earlier (and in a success) every 90 ms, and where one of these succeeds
-        alone, its neighbours at 30 ms.
+        Close times are 30 ms apart within 0.6 s of the real close. Earlier ones, and all of a
+        success, are 90 ms apart; where one of these succeeds alone, its neighbours at 30 ms are
+        tried too.
         """
         ticks = self.run.ticks
         near = [k for k in range(self.end + 1) if (d := ticks[k].distance) is not None and d < NEAR]
@@ -122,7 +131,10 @@ class Prover:
         return tick.preshape is not None and self.closes(tick.snapshot, tick.velocity).success
 
     def _held_open(self, start: Snapshot, twist: Array, step: int) -> list[tuple[float, Snapshot]]:
-        """The approach gone on with at constant twist and open fingers: (offset s, state) after the close."""
+        """(offset s, state) after the close, with the approach continued at constant twist.
+
+        The fingers stay open. twist (6,) m/s, rad/s.
+        """
         w = self.world
         w.restore(start)
         out = []
@@ -148,7 +160,10 @@ class Prover:
         return matrix_of(self.run.ticks[k].snapshot.state[at : at + 7])
 
     def put_back(self, k: int) -> tuple[float, bool]:
-        """The object on its undisturbed path in period k: overlap with the hand, m, and whether closing then works."""
+        """Close with the object on its undisturbed path in period k.
+
+        Returns the overlap of hand and object, m, and whether the close then works.
+        """
         w = self.world
         w.restore(self.run.ticks[k].snapshot)
         w.put_object(self.twin[k, :7], self.twin[k, 7:])
@@ -156,7 +171,10 @@ class Prover:
         return overlap, Finisher(w, self.run.ticks[k].velocity, self.run.preshape).finish().success
 
     def free_pose(self) -> bool:
-        """As put_back at the close, with the palm moved by at most 10 mm or 10 degrees to where nothing overlaps."""
+        """As `put_back` at the close, with the palm moved to where nothing overlaps.
+
+        It is moved by at most 10 mm or 10 degrees.
+        """
         w, tick = self.world, self.run.ticks[self.end]
         moves = [np.zeros(6)]
         for step in FREE_STEPS_M:
@@ -177,7 +195,10 @@ class Prover:
         return False
 
     def pose_error(self) -> float | None:
-        """Smallest palm offset at the executed close, m, over a few directions, from which it would have worked."""
+        """Smallest palm offset at the executed close, m, from which it would have worked.
+
+        A few directions are tried; None if none works.
+        """
         w, tick = self.world, self.run.ticks[self.end]
         for step in ERROR_STEPS_M:
             for d in _directions()[:6]:
@@ -203,7 +224,10 @@ def _directions() -> list[Array]:
 
 
 def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bool = True) -> Truth:
-    """Outcome, class and evidence of a run. `near`: also ask which thresholds decide by less than 20 %."""
+    """Outcome, class and evidence of a run.
+
+    near: also find which thresholds decide by less than 20 %.
+    """
     if thresholds is None:
         thresholds = Thresholds() if world.presenter is None else HANDED_OVER
     prover = Prover(run, world)
@@ -241,15 +265,24 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
     )
     outcome: Outcome = "failure"
     return Truth(
-        outcome, verdict.failure_class, verdict.sub_cause, verdict.shift_s, curve, facts, error, foreign, t_contact,
-        tuple(changed), prover.twin,
-    )  # fmt: skip
+        outcome,
+        verdict.failure_class,
+        verdict.sub_cause,
+        verdict.shift_s,
+        curve,
+        facts,
+        error,
+        foreign,
+        t_contact,
+        tuple(changed),
+        prover.twin,
+    )
 
 
 def _decide(
     prover: Prover, facts: Facts, thresholds: Thresholds, contacts: list[int]
 ) -> tuple[Verdict, Facts]:
-    """Ask the rule, find out what it wants to know, ask again."""
+    """Apply the rule, gather the fact that it needs, and apply it again."""
     while isinstance(answer := classify(facts, thresholds), Needs):
         if answer.fact == "free_pose":
             facts = replace(facts, free_pose=prover.free_pose())

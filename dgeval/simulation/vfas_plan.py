@@ -14,31 +14,30 @@ from dgeval.worlds.objects import ObjectModel
 from dgeval.worlds.presenter import Presenter, draw_presenter
 from dgeval.worlds.scene import TURNTABLE_CENTRE
 
-PLACES_X, PLACES_Y, GAP = (
-    (0.36, 0.60),
-    (-0.26, 0.26),
-    0.025,
-)  # m; where objects stand, and what is free between them
-HANDOVER_START = np.array(
-    [0.36, 0.0, 0.42]
-)  # m, where the gripper waits, looking 50 degrees down; ours
-HANDOVER_PITCH = np.radians(140.0)
+# m: ranges in which objects stand, and the least free distance between them; ours
+PLACES_X, PLACES_Y, GAP = (0.36, 0.60), (-0.26, 0.26), 0.025
+HANDOVER_START = np.array([0.36, 0.0, 0.42])  # m, where the gripper waits; ours
+HANDOVER_PITCH = np.radians(140.0)  # rad, of its approach: it looks 50 degrees down; ours
 
 
-def plan_vfas(scenario: Scenario, things: dict[str, ObjectModel], seed: int, index: int) -> Plan:
-    """Trial `index`. Table: arrangements, and in each every object once as the target; else objects and radii in turn."""
+def plan_vfas(scenario: Scenario, objects: dict[str, ObjectModel], seed: int, index: int) -> Plan:
+    """Trial `index`.
+
+    Table: arrangements, and in each of them every object once as the target. Else objects and radii
+    in turn.
+    """
     rng = generator(seed, f"plan/{scenario.name}", index)
-    names = scenario.objects or tuple(things)
-    missing = [n for n in names if n not in things]
+    names = scenario.objects or tuple(objects)
+    missing = [n for n in names if n not in objects]
     if missing:
-        raise UsageError(f"scenario: no object {missing[0]!r}", hint=f"known: {', '.join(things)}")
+        raise UsageError(f"scenario: no object {missing[0]!r}", hint=f"known: {', '.join(objects)}")
     yaw = float(rng.uniform(-np.pi, np.pi))
     if scenario.table is not None:
         count = scenario.table.objects
         arrangement, target = index // count % scenario.table.arrangements, index % count
         chosen = [names[(arrangement % 2 * count + k) % len(names)] for k in range(count)]
         places = arranged(
-            [things[n] for n in chosen],
+            [objects[n] for n in chosen],
             generator(seed, f"arrangement/{scenario.name}", arrangement),
         )
         others = tuple(
@@ -79,7 +78,7 @@ def plan_vfas(scenario: Scenario, things: dict[str, ObjectModel], seed: int, ind
             f"scenario {scenario.name!r}: no table, turntable or presenter",
             hint="the pipeline vfas needs one",
         )
-    presenter = _presented(scenario, things[name], rng, yaw)
+    presenter = _presented(scenario, objects[name], rng, yaw)
     return Plan(
         f"{name}-{index:04d}",
         name,
@@ -96,23 +95,29 @@ def plan_vfas(scenario: Scenario, things: dict[str, ObjectModel], seed: int, ind
 
 
 def arranged(
-    things: list[ObjectModel], rng: np.random.Generator
+    objects: list[ObjectModel], rng: np.random.Generator
 ) -> list[tuple[float, float, float]]:
-    """x, y, yaw of upright objects that stand clear of each other; UsageError where they don't fit."""
-    reach = [float(np.linalg.norm(t.extent()[:2])) / 2 for t in things]
+    """x, y m and yaw rad of upright objects that stand clear of each other.
+
+    UsageError where they don't fit.
+    """
+    reach = [float(np.linalg.norm(t.extent()[:2])) / 2 for t in objects]
     for _ in range(2000):
         xy = np.column_stack(
-            [rng.uniform(*PLACES_X, len(things)), rng.uniform(*PLACES_Y, len(things))]
+            [rng.uniform(*PLACES_X, len(objects)), rng.uniform(*PLACES_Y, len(objects))]
         )
         apart = np.linalg.norm(xy[:, None] - xy[None], axis=2) - np.add.outer(reach, reach)
-        if (apart[np.triu_indices(len(things), 1)] > GAP).all():
-            yaws = rng.uniform(-np.pi, np.pi, len(things))
+        if (apart[np.triu_indices(len(objects), 1)] > GAP).all():
+            yaws = rng.uniform(-np.pi, np.pi, len(objects))
             return [(float(x), float(y), float(a)) for (x, y), a in zip(xy, yaws, strict=True)]
     raise UsageError("an arrangement's objects don't fit on the table", hint="fewer objects")
 
 
 def waiting_pose() -> Array:
-    """T_base_grasp of the gripper that waits for a handover: looking forward and down, its jaws horizontal."""
+    """T_base_grasp (4, 4) of the gripper that waits for a handover.
+
+    It looks forward and down, its jaws horizontal.
+    """
     approach = np.array([np.sin(HANDOVER_PITCH), 0.0, np.cos(HANDOVER_PITCH)])
     closing = np.array([0.0, 1.0, 0.0])
     T = np.eye(4)
@@ -122,14 +127,19 @@ def waiting_pose() -> Array:
 
 
 def _presented(
-    scenario: Scenario, thing: ObjectModel, rng: np.random.Generator, yaw: float
+    scenario: Scenario, target: ObjectModel, rng: np.random.Generator, yaw: float
 ) -> Presenter:
-    """To where the gripper looks: the upper part of the object comes to the seed, give or take 3 cm."""
+    """A handover to where the gripper looks.
+
+    The upper part of the object comes to the seed, within 3 cm on each axis.
+    """
     assert scenario.presenter is not None
     c = scenario.presenter
-    some = draw_presenter(rng, thing.extent(), 0.0, 0.0, yaw, c.tremor_m, np.radians(c.tremor_deg))
+    drawn = draw_presenter(
+        rng, target.extent(), 0.0, 0.0, yaw, c.tremor_m, np.radians(c.tremor_deg)
+    )
     T = waiting_pose()
     seed = T[:3, 3] + scenario.pipeline.vfas.search_ahead * T[:3, 2]
-    end = seed + rng.uniform(-0.03, 0.03, 3) - [0.0, 0.0, thing.extent()[2] / 2 - 0.02]
-    start = end + some.start - some.end
-    return Presenter(start, end, some.arrive, yaw, some.phases, some.tremor_m, some.tremor_rad)
+    end = seed + rng.uniform(-0.03, 0.03, 3) - [0.0, 0.0, target.extent()[2] / 2 - 0.02]
+    start = end + drawn.start - drawn.end
+    return Presenter(start, end, drawn.arrive, yaw, drawn.phases, drawn.tremor_m, drawn.tremor_rad)

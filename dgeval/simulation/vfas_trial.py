@@ -1,4 +1,4 @@
-"""One VFAS trial in closed loop: the stages that replay runs, on images drawn at the planner's rate."""
+"""One VFAS trial in closed loop: the stages of replay, on images drawn at the planner's rate."""
 
 from __future__ import annotations
 
@@ -16,45 +16,46 @@ from dgeval.planning.vfas.selection import Selected
 from dgeval.robots.description import load_description
 from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.jaw_grasps import search
-from dgeval.simulation.render import Eyes
+from dgeval.simulation.render import Renderer
 from dgeval.simulation.scenario import Plan, Scenario
-from dgeval.simulation.seeing import Images, look
+from dgeval.simulation.seeing import Images, camera_frame
 from dgeval.simulation.trial import REACHED, FrameBelief, Run, Tick, frame_ticks, limited
 from dgeval.simulation.vfas_plan import waiting_pose
 from dgeval.simulation.world import FINISH_S, Finish, Finisher, World
 from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
 from dgeval.worlds.objects import at
 
-ARRIVED_M, ADVANCE_S = (
-    0.003,
-    3.0,
-)  # the last advance ends within so much of the grasp, or after so long
-NEAR_HOME = np.array(
-    [0.0, -0.37, 0.0, 2.32, 0.0, -1.19, 0.0]
-)  # where inverse kinematics starts from
-WAYPOINTS = 6  # of the advance, looked at for obstacles
+# The last advance ends this near to the grasp, m + 0.1 m per rad, or after this time, s; ours.
+ARRIVED_M, ADVANCE_S = 0.003, 3.0
+NEAR_HOME = np.array([0.0, -0.37, 0.0, 2.32, 0.0, -1.19, 0.0])  # rad, start of the search; ours
+WAYPOINTS = 6  # of the advance, checked for obstacles; ours
 
 
 @dataclass(frozen=True)
 class Seed:
-    """T_base_seed (None in a handover: ahead of the gripper) and the arm's joints (7,) before it."""
+    """T_base_seed (None in a handover: ahead of the gripper) and the arm's joints (7,) rad before
+    it.
+    """
 
     T_base_seed: Array | None
     q_arm: Array
 
 
 def known_jaw_grasps(world: World) -> list[Array]:
-    """T_object_grasp of the shipped ones of the eight objects; for others a search of some seconds."""
+    """T_object_grasp (4, 4) shipped for the eight objects; a search of some seconds for others."""
     shipped = json.loads(
         (resources.files("dgeval.simulation") / "known_jaw_grasps.json").read_text(encoding="utf-8")
     )
-    if world.thing.name in shipped:
-        return [matrix_from_pose(np.array(g)) for g in shipped[world.thing.name]]
-    return search(world.thing, 12, 5)
+    if world.target.name in shipped:
+        return [matrix_from_pose(np.array(g)) for g in shipped[world.target.name]]
+    return search(world.target, 12, 5)
 
 
 def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
-    """A known grasp in reach with a free way to it, and the error of the planner that proposes it; None: there is none."""
+    """A known grasp in reach with a free approach, displaced by the proposing planner's error.
+
+    None if there is none.
+    """
     rng = generator(plan.seed, f"seed/{scenario.name}", plan.index)
     if world.presenter is not None:
         q, residual = world.kinematics.solve(waiting_pose(), NEAR_HOME)
@@ -70,13 +71,13 @@ def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
         if residual > REACHED:
             continue
         world.q_set = q
-        ways = (
+        waypoints = (
             T @ at(0, 0, -share * scenario.pipeline.vfas.pregrasp)
             for share in np.linspace(1.0, 0.0, WAYPOINTS)
         )
         if all(
-            world.put_arm(way) < REACHED and not (world.touch().object or world.touch().other)
-            for way in ways
+            world.put_arm(waypoint) < REACHED and not (world.touch().object or world.touch().other)
+            for waypoint in waypoints
         ):
             error = scenario.seed_error
             xi = np.concatenate(
@@ -90,9 +91,12 @@ def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
 
 
 def run_vfas(
-    plan: Plan, scenario: Scenario, world: World, eyes: Eyes
+    plan: Plan, scenario: Scenario, world: World, renderer: Renderer
 ) -> tuple[Run, dict[int, Images]]:
-    """Simulate one trial to 1.6 s after the lift, or until it gives up. Also gives the images, by frame."""
+    """Simulate one trial to 1.6 s after the lift, or until it gives up.
+
+    Also returns the images, by frame.
+    """
     run = Run(plan, preshape=world.gripper.open.copy())
     kept: dict[int, Images] = {}
     config = scenario.pipeline.model_copy(update={"seed": plan.seed * 100_003 + plan.index})
@@ -133,8 +137,8 @@ def run_vfas(
     while True:
         t_ns = round(tick * CONTROL_S * 1e9)
         if tick in frames:
-            frame, jpeg, depth = look(
-                n_frame, t_ns, world, eyes, hand_model, scenario.camera.jpeg_quality
+            frame, jpeg, depth = camera_frame(
+                n_frame, t_ns, world, renderer, hand_model, scenario.camera.jpeg_quality
             )
             kept[n_frame] = Images(jpeg, depth, None)
             if advancing is None:

@@ -1,4 +1,7 @@
-"""The physical side of a trial: arm, hand, belt and object stepped in time, saved and restored to the last bit."""
+"""The physical side of a trial: arm, hand, belt and object stepped in time.
+
+The state is saved and restored to the last bit.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +29,16 @@ from dgeval.worlds.objects import ObjectModel
 from dgeval.worlds.presenter import GRIPPED_N, RELEASE_S
 from dgeval.worlds.scene import TURNTABLE_TOP, Camera, build, pose_of
 
-HOLD_S = 1.6  # recorded after the lift
-SUCCESS_HOLD_S = 1.0  # after the lift ends (SIMULATION section 5)
-FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + HOLD_S
+HOLD_S = 1.6  # s, recorded after the lift; ours
+SUCCESS_HOLD_S = 1.0  # s, after the lift ends (SIMULATION section 5)
+FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + HOLD_S  # s, from the close command to the end
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything a continuation needs: the physical state, the arm's set point (7,), time s."""
+    """Everything a continuation needs: time, s, physical state, and the arm's set
+    point (7,), rad.
+    """
 
     t: float
     state: Array
@@ -41,22 +46,25 @@ class Snapshot:
 
 
 class World(HandAndObject):
-    """The hand on its arm, the belt and the object, stepped in time. Base frame = the arm's base."""
+    """The hand on its arm, the belt and the object, stepped in time.
+
+    Base frame: the arm's base. target: the object to grasp. belt_speed in m/s along +y.
+    """
 
     def __init__(
         self,
-        thing: ObjectModel,
+        target: ObjectModel,
         belt_speed: float,
         cameras: tuple[Camera, ...] = (),
         setting: Setting | None = None,
         *,
         gripper: Hand,
     ) -> None:
-        self.thing, self.setting = thing, setting or Setting()
+        self.target, self.setting = target, setting or Setting()
         self.presenter = self.setting.presenter
-        model = _built(thing, belt_speed, "arm", cameras, self.setting, gripper)
+        model = _build_model(target, belt_speed, "arm", cameras, self.setting, gripper)
         top = TURNTABLE_TOP if self.setting.turn is not None else 0.0
-        super().__init__(model, gripper, thing.rest_height() + top)
+        super().__init__(model, gripper, target.rest_height() + top)
         self.kinematics = ArmKinematics(gripper.T_hand_palm)
         self.arm = np.array([model.joint(n).qposadr[0] for n in ARM_JOINTS])
         self.arm_dof = np.array([model.joint(n).dofadr[0] for n in ARM_JOINTS])
@@ -66,7 +74,11 @@ class World(HandAndObject):
     def start(
         self, q_arm: Array, preshape: Array, x: float, y: float, yaw: float, object_velocity: float
     ) -> None:
-        """Arm and fingers at rest, the object standing on the belt and moving with it, or in the presenter's hand."""
+        """Put arm and fingers at rest, and the object on the belt or in the presenter's hand.
+
+        On the belt it stands at x, y m and yaw rad and moves at object_velocity, m/s. q_arm (7,)
+        and preshape (k,) in rad.
+        """
         d = self.data
         mujoco.mj_resetData(self.model, d)
         d.qpos[self.arm] = self.q_set = q_arm.copy()
@@ -95,9 +107,12 @@ class World(HandAndObject):
         return float(self.data.time)
 
     def command(self, dq: Array, fingers: Array) -> None:
-        """Advance the arm's set point by one control period at speeds dq (7,), and set the fingers' drives (15,)."""
+        """Advance the arm's set point by one control period, and set the fingers' drives.
+
+        dq (7,): joint speeds, rad/s. fingers (k,): drive targets, rad or m.
+        """
         self.q_set = self.q_set + dq * CONTROL_S
-        # telling the drive the speed too cancels the lag that its damping would cause
+        # giving the drive the speed too cancels the lag that its damping would cause
         self.data.ctrl[self._arm_drives] = self.q_set + dq * (DAMPING / STIFFNESS)
         self.data.ctrl[self.drives] = fingers
 
@@ -110,12 +125,17 @@ class World(HandAndObject):
         mujoco.mj_forward(self.model, self.data)
 
     def put_object(self, pose_wxyz: Array, velocity: Array) -> None:
-        """Object to a pose (7,) in MuJoCo's order and velocity (6,); call after restore."""
+        """Set the object's pose (7,) in MuJoCo's order and its velocity (6,); call it after
+        restore.
+        """
         self.place_object(pose_wxyz, velocity)
         mujoco.mj_forward(self.model, self.data)
 
     def put_arm(self, T_base_palm: Array) -> float:
-        """Move the arm to a palm pose at once, the fingers as they are; returns what inverse kinematics leaves (m)."""
+        """Move the arm to a palm pose (4, 4) at once; the fingers stay as they are.
+
+        Returns the error that inverse kinematics leaves, m + 0.1 m per rad.
+        """
         q, residual = self.kinematics.solve(T_base_palm, self.q_set, 60)
         self.data.qpos[self.arm] = self.q_set = q
         self.data.qacc_warmstart[:] = 0
@@ -151,20 +171,26 @@ class World(HandAndObject):
         mujoco.mj_step(self.model, self.data, steps)
 
     def lifted(self) -> bool:
-        """The object is off its support, in the hand, and let go of."""
+        """Whether the object is off its support, in the hand, and let go of."""
         return self.in_hand(self.T_base_hand(), self.data.body("object").xpos)
 
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """How closing and lifting ended: success, and the object's greatest height over its support, m."""
+    """How closing and lifting ended.
+
+    height: greatest height of the object over its support, m.
+    """
 
     success: bool
     height: float
 
 
 class Finisher:
-    """Closing, lifting and holding, one control period at a time; the same in the trial and in every 'what if'."""
+    """Closing, lifting and holding, one control period at a time.
+
+    The trial and every 'what if' use it. velocity (3,) m/s: at which the hand follows the object.
+    """
 
     def __init__(self, world: World, velocity: Array, preshape: Array) -> None:
         self.world, self.velocity, self.preshape = world, velocity, preshape
@@ -172,9 +198,8 @@ class Finisher:
         self.height = 0.0
         self._gripped_s = 0.0
         if world.presenter is not None:
-            world.rest = float(
-                world.data.qpos[world.object + 2]
-            )  # lifted means: above where it was presented
+            # lifted means: above where it was presented
+            world.rest = float(world.data.qpos[world.object + 2])
         self.result: Finish | None = None
 
     def step(self) -> None:
@@ -185,7 +210,7 @@ class Finisher:
         w.advance()
         self.ticks += 1
         if w.held_by_presenter:
-            # who hands something over lets go when it has been gripped for a moment, and holds on to it else
+            # the presenter lets go when the object has been gripped for a moment
             gripped = int((w.finger_forces() > GRIPPED_N).sum()) >= 2
             self._gripped_s = self._gripped_s + CONTROL_S if gripped else 0.0
             if self._gripped_s >= RELEASE_S:
@@ -195,7 +220,10 @@ class Finisher:
             self.result = Finish(self._succeeded, self.height)
 
     def _decided(self) -> bool:
-        """Whether the outcome is certain now; a hand that has left the object behind can't have it later."""
+        """Whether the outcome is certain now.
+
+        A hand that has left the object behind can't have it later.
+        """
         w = self.world
         lift = self.ticks * CONTROL_S - CLOSE_S - SETTLE_S
         self._succeeded = False
@@ -209,14 +237,14 @@ class Finisher:
         return self._succeeded
 
     def finish(self) -> Finish:
-        """Run to where the outcome is certain."""
+        """Run until the outcome is certain."""
         while self.result is None:
             self.step()
         return self.result
 
 
-def _built(
-    thing: ObjectModel,
+def _build_model(
+    target: ObjectModel,
     belt_speed: float,
     robot: Literal["arm", "none"],
     cameras: tuple[Camera, ...],
@@ -225,11 +253,11 @@ def _built(
 ) -> mujoco.MjModel:
     others = tuple(o[0] for o in setting.others)
     presented, turntable = setting.presenter is not None, setting.turn is not None
-    return build(thing, belt_speed, robot, cameras, presented, gripper, others, turntable)
+    return build(target, belt_speed, robot, cameras, presented, gripper, others, turntable)
 
 
 def twin_path(
-    thing: ObjectModel,
+    target: ObjectModel,
     belt_speed: float,
     x: float,
     y: float,
@@ -237,12 +265,16 @@ def twin_path(
     seconds: float,
     setting: Setting | None = None,
 ) -> Array:
-    """The object without any robot: rows (pose 7, velocity 6) in MuJoCo's order, one per control period from t = 0."""
+    """The object's path without any robot.
+
+    Rows are (pose 7, velocity 6) in MuJoCo's order, one per control period from t = 0. x, y in m,
+    yaw in rad.
+    """
     setting = setting or Setting()
     presenter = setting.presenter
-    model = _built(thing, belt_speed, "none", (), setting, None)
+    model = _build_model(target, belt_speed, "none", (), setting, None)
     data = mujoco.MjData(model)
-    z = thing.rest_height() + (TURNTABLE_TOP if setting.turn is not None else 0.0)
+    z = target.rest_height() + (TURNTABLE_TOP if setting.turn is not None else 0.0)
     data.qpos[:7] = [x, y, z, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
     data.qvel[1] = belt_speed
     setting.put(model, data)
@@ -268,7 +300,10 @@ def matrix_of(pose_wxyz: Array) -> Array:
 
 
 def home(world: World, y: float, height: float = 0.54) -> Array:
-    """Arm joints (7,) with the hand over the belt pointing straight down, its palm normal along base +x."""
+    """Arm joints (7,) rad with the hand over the belt, pointing straight down.
+
+    Its palm normal is along base +x. y, height in m. ValueError if the arm does not reach the pose.
+    """
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[:3, 3] = (0.36, y, height)
     turn = np.arctan2(y, 0.45)

@@ -26,7 +26,7 @@ from dgeval.geometry import Array, invert, transform
 from dgeval.planning.vfas.selection import perturbed
 from dgeval.robots.hand import hand_for
 from dgeval.simulation.jaw_grasps import FlyingJaw, between_fingers, seed_pose
-from dgeval.simulation.render import Eyes
+from dgeval.simulation.render import Renderer
 from dgeval.simulation.sensors import D405, depth_intrinsics
 from dgeval.worlds.objects import ObjectModel, at, procedural_object, surface_points
 from dgeval.worlds.scene import Camera, pose_of
@@ -67,7 +67,7 @@ class Scene:
 
 
 def view(
-    world: FlyingJaw, renderer: Eyes, T_base_seed: Array, rng: np.random.Generator
+    world: FlyingJaw, renderer: Renderer, T_base_seed: Array, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """What the wrist camera sees from near the pre-grasp pose of a seed, T_base_seed (4, 4).
 
@@ -111,7 +111,7 @@ def scenes_of(
         object_model, 6000, generator(seed, f"jaw surface/{object_model.name}", 0)
     )
     T_base_object = at(0.5, 0, object_model.rest_height())
-    with Eyes(world, (CAMERAS[0], CAMERAS[1]), D405, seed, 0) as renderer:
+    with Renderer(world, (CAMERAS[0], CAMERAS[1]), D405, seed, 0) as renderer:
         for k in range(60 * seeds):
             if len(out) == seeds:
                 break
@@ -131,7 +131,7 @@ def scenes_of(
                 continue
             T_base_seed = T_base_object @ T_object_seed
             # Most random seeds overlap or fail. Keep few of these: moving good seeds gives enough.
-            if not all(world.free_way(T_base_seed)) and rng.random() < 0.97:
+            if not all(world.approach_free(T_base_seed)) and rng.random() < 0.97:
                 continue
             world.put(T_base_seed)
             if not world.lifts() and rng.random() < 0.8:
@@ -150,7 +150,7 @@ def scenes_of(
             )
             held, table_hit = np.zeros(per_seed, bool), np.zeros(per_seed, bool)
             for i, T in enumerate(poses):
-                free, over_table = world.free_way(T)
+                free, over_table = world.approach_free(T)
                 table_hit[i] = not over_table
                 if free and over_table and between_fingers(surface, invert(T) @ T_base_object) > 3:
                     world.put(T)

@@ -30,7 +30,14 @@ from dgeval.networks.ffhnet import (
     matrix_from_6d,
 )
 from dgeval.planning.execution import execute
-from dgeval.planning.grasps import encode_cloud, evaluate, free_of, networks_of, propose, way_free
+from dgeval.planning.grasps import (
+    approach_free,
+    encode_cloud,
+    evaluate,
+    free_of,
+    networks_of,
+    propose,
+)
 from dgeval.planning.hand_overlap import standing_points
 from dgeval.planning.reachability import arm_of
 from dgeval.robots.description import load_description
@@ -38,7 +45,7 @@ from dgeval.robots.diana7 import LOWER, UPPER, ArmKinematics
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.robots.dlr_hit_hand import T_hand_camera
 from dgeval.robots.urdf import robot_urdf
-from dgeval.simulation.perception import Sight
+from dgeval.simulation.perception import PerceivedObject
 from dgeval.simulation.proposals import FFHNetGrasps
 from dgeval.simulation.scenario import load_scenario
 from dgeval.training.ship import export
@@ -399,16 +406,16 @@ def test_an_approach_through_the_object_is_not_free() -> None:
     joints, config = np.zeros(15), GraspsConfig(way_m=0.06)
     assert free_of(cloud, pose[None], joints[None], None, 0.004).all()
     # from its own side
-    assert way_free(cloud, pose, joints, np.array([0.6, 0.0, 0.0]), None, config)
+    assert approach_free(cloud, pose, joints, np.array([0.6, 0.0, 0.0]), None, config)
     # from the block's side; 6 cm nearer to the block is still free
-    assert way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, config)
+    assert approach_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, config)
     through = config.model_copy(update={"way_m": 0.45})
     # a step of the approach lies in the block
-    assert not way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, through)
+    assert not approach_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, through)
     # the approach is checked no farther than the hand is away
-    assert way_free(cloud, pose, joints, np.array([0.25, 0.0, 0.0]), None, through)
-    assert way_free(cloud, pose, joints, pose[:3, 3], None, through)
-    assert way_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, GraspsConfig())
+    assert approach_free(cloud, pose, joints, np.array([0.25, 0.0, 0.0]), None, through)
+    assert approach_free(cloud, pose, joints, pose[:3, 3], None, through)
+    assert approach_free(cloud, pose, joints, np.array([-0.6, 0.0, 0.0]), None, GraspsConfig())
 
 
 def test_shipped_networks_know_a_grasp_from_a_hand_in_the_air() -> None:
@@ -443,7 +450,7 @@ def test_upright_grasps_do_not_turn_with_the_camera(upright: bool) -> None:
         ).as_matrix()
         T_base_camera[:3, 3] = (0.5, 0.1, 0.5)
         proposals = source.propose(
-            0, Sight(T_base_object, cloud), T_base_object, T_base_camera, None
+            0, PerceivedObject(T_base_object, cloud), T_base_object, T_base_camera, None
         )
         assert proposals is not None
         free = proposals.free(np.arange(len(proposals.scores)))

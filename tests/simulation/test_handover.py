@@ -1,5 +1,8 @@
-"""The handover. Catches: an object that hangs in the air, a success that the person still holds, a twin that leaves its path,
-grasps by FFHNet that don't follow the object or differ between two runs."""
+"""The handover.
+
+Catches: an object that hangs in the air, a success in which the person still holds the object, a
+twin that leaves its path, grasps by FFHNet that don't follow the object or differ between two runs.
+"""
 
 from __future__ import annotations
 
@@ -23,17 +26,18 @@ from dgeval.worlds.objects import ten_objects
 from dgeval.worlds.presenter import Presenter, draw_presenter
 from dgeval.worlds.shape import solid_from_cloud
 
-THINGS = ten_objects()
+OBJECTS = ten_objects()
 
 
 def presenter(index: int = 0, tremor: float = 0.003) -> Presenter:
     rng = generator(0, "test presenter", index)
     return draw_presenter(
-        rng, THINGS["pudding_box"].extent(), 0.47, 0.0, 0.3, tremor, np.radians(1.5) * (tremor > 0)
+        rng, OBJECTS["pudding_box"].extent(), 0.47, 0.0, 0.3, tremor, np.radians(1.5) * (tremor > 0)
     )
 
 
 def test_the_presenter_arrives_slows_down_and_trembles() -> None:
+    """Catches a wrong profile of speed, a tremor of another size, and jumps."""
     p = presenter()
     still = presenter(tremor=0.0)
     np.testing.assert_allclose(still.pose(0.0)[0], still.start, atol=1e-12)
@@ -51,8 +55,9 @@ def test_the_presenter_arrives_slows_down_and_trembles() -> None:
 
 
 def test_the_twin_stays_with_the_presenter() -> None:
+    """Catches a twin that is not carried, or lags by more than the soft grip explains."""
     p = presenter()
-    twin = twin_path(THINGS["pudding_box"], 0.0, 0.0, 0.0, 0.0, 4.0, Setting(presenter=p))
+    twin = twin_path(OBJECTS["pudding_box"], 0.0, 0.0, 0.0, 0.0, 4.0, Setting(presenter=p))
     for k in range(0, len(twin), 20):
         position, quaternion = p.pose(k * 0.01)
         # the grip is soft and critically damped: it lags by twice its time constant of 50 ms
@@ -66,8 +71,9 @@ def test_the_twin_stays_with_the_presenter() -> None:
 
 
 def test_who_is_not_gripped_holds_on_and_who_lets_go_drops() -> None:
+    """Catches an object that hangs in the air, and a grip that a restored state forgets."""
     world = World(
-        THINGS["pudding_box"], 0.0, setting=Setting(presenter=presenter()), gripper=FIVE_FINGERS
+        OBJECTS["pudding_box"], 0.0, setting=Setting(presenter=presenter()), gripper=FIVE_FINGERS
     )
     world.start(home(world, 0.35), FIVE_FINGERS.open, 0, 0, 0, 0)
     for _ in range(200):
@@ -89,11 +95,14 @@ def scenario() -> Scenario:
 
 
 def without_faults(scenario: Scenario, index: int) -> Plan:
-    return replace(plan_trial(scenario, THINGS, 0, index), faults=Faults())
+    return replace(plan_trial(scenario, OBJECTS, 0, index), faults=Faults())
 
 
 @pytest.mark.slow
 def test_a_handover_ends_with_the_object_in_the_robots_hand_alone(scenario: Scenario) -> None:
+    """Catches a success in which the person still holds the object, and an undisturbed path on the
+    belt.
+    """
     campaign = Campaign(scenario.model_copy(update={"grasps": "analytic"}), 0, 100, Path("unused"))
     run, world = simulate(campaign, without_faults(scenario, 5))
     assert run.finish is not None
@@ -103,7 +112,7 @@ def test_a_handover_ends_with_the_object_in_the_robots_hand_alone(scenario: Scen
     assert truth.outcome == "success"
     # the undisturbed path is the presenter's, not a place on the belt
     assert np.ptp(truth.twin[:, 1]) > 0.05 or np.ptp(truth.twin[:, 0]) > 0.05
-    # and what a verdict's twin makes of it is a success too: who holds the object lets go of it there as well
+    # the verdict's twin of it is a success too: the presenter lets go there as well
     scene = scene_from(run, world, 7)
     assert scene.held
     failed = [
@@ -115,6 +124,7 @@ def test_a_handover_ends_with_the_object_in_the_robots_hand_alone(scenario: Scen
 
 @pytest.mark.slow
 def test_ffhnet_in_the_loop_repeats_and_follows_the_object() -> None:
+    """Catches grasps that differ between two runs, or stay behind the object."""
     scenario = load_scenario("conveyor").model_copy(update={"max_seconds": 2.5})
     assert scenario.grasps == "ffhnet"
     campaign = Campaign(scenario, 0, 120, Path("unused"))

@@ -33,7 +33,10 @@ def flat(camera: Intrinsics, z: float) -> Image32:
 
 
 def tilted(camera: Intrinsics, z: float, slope_x: float, slope_y: float = 0.0) -> Image32:
-    """Plane through the axis at z with the given tangents of its tilt: Z = z + slope_x X + slope_y Y."""
+    """Plane through the axis at z with the given tangents of its tilt.
+
+    Z = z + slope_x X + slope_y Y, in m.
+    """
     u = (np.arange(camera.width) - camera.cx)[None] / camera.fx
     v = (np.arange(camera.height) - camera.cy)[:, None] / camera.fy
     return np.asarray(z / (1 - slope_x * u - slope_y * v), np.float32)
@@ -54,7 +57,10 @@ def disparity(camera: Intrinsics, profile: DepthProfile, z: float) -> float:
 def test_focal_lengths_are_those_of_the_streams_of_a_d435(
     size: tuple[int, int], depth: float, colour: float
 ) -> None:
-    """Scaling with width alone, which is 20 % wrong in 4:3: real ones have 383, 211, 638 and 612, 306, 919 px."""
+    """Catches scaling with width alone, which is 20 % wrong in 4:3.
+
+    Real ones have 383, 211, 638 px (depth) and 612, 306, 919 px (colour).
+    """
     assert depth_intrinsics(D435, *size).fx == pytest.approx(depth, abs=0.1)
     assert colour_intrinsics(D435, *size).fx == pytest.approx(colour, abs=0.1)
     assert colour_intrinsics(D405, *size) == depth_intrinsics(D405, *size)
@@ -66,7 +72,7 @@ def test_focal_lengths_are_those_of_the_streams_of_a_d435(
 def test_noise_of_a_wall_is_that_of_the_formula_without_bias(
     size: tuple[int, int], z: float
 ) -> None:
-    """Noise in metres instead of disparity, a wrong kernel norm, one-sided rounding."""
+    """Catches noise in metres instead of disparity, a wrong kernel norm, and one-sided rounding."""
     camera = depth_intrinsics(D435, *size)
     errors = []
     for k in range(
@@ -82,7 +88,9 @@ def test_noise_of_a_wall_is_that_of_the_formula_without_bias(
 
 
 def test_noise_is_smooth_over_a_matching_window() -> None:
-    """White noise, which averages away far faster than a stereo camera's, or noise that is weaker at the border."""
+    """Catches white noise, which averages out far faster than a stereo camera's, and weaker noise
+    at the border.
+    """
     noise = sensors._noise((480, 640), 2.0, generator(1, "n", 0))
     assert np.corrcoef(noise[:, :-1].ravel(), noise[:, 1:].ravel())[0, 1] == pytest.approx(
         np.exp(-1 / 16), abs=0.01
@@ -96,6 +104,7 @@ def test_noise_is_smooth_over_a_matching_window() -> None:
 
 
 def test_noise_grows_with_slope() -> None:
+    """Catches noise that does not depend on the slope."""
     camera = depth_intrinsics(D435, 640, 480)
     spread = []
     for slope in (0.0, 1.5):
@@ -111,15 +120,17 @@ def test_noise_grows_with_slope() -> None:
 def test_nothing_is_measured_below_the_minimum_range(
     profile: DepthProfile, size: tuple[int, int]
 ) -> None:
-    """Noise or mixed values that leak below it, a step instead of a ramp, a limit that moves with the size of the image."""
+    """Catches noise or mixed values that leak below it, a step instead of a ramp, and a limit that
+    depends on the image's size.
+    """
     camera = depth_intrinsics(profile, *size)
     nearest = profile.min_range
     assert not shoot(flat(camera, 0.97 * nearest), camera, profile).any()
     slanted = shoot(tilted(camera, nearest, 0.3), camera, profile)
     assert slanted[slanted > 0].min() >= round(nearest * 1000)
-    seen = slice(None), slice(int(disparity(camera, profile, nearest)) + 2, None)
+    visible = slice(None), slice(int(disparity(camera, profile, nearest)) + 2, None)
     shares = [
-        np.mean(shoot(flat(camera, nearest * k), camera, profile)[seen] > 0)
+        np.mean(shoot(flat(camera, nearest * k), camera, profile)[visible] > 0)
         for k in (1.03, 1.07, 1.2)
     ]
     assert 0.1 < shares[0] < shares[1] < 0.9
@@ -127,6 +138,7 @@ def test_nothing_is_measured_below_the_minimum_range(
 
 
 def test_nothing_is_measured_beyond_the_maximum_range_or_the_range_of_the_counts() -> None:
+    """Catches a range without an end, and counts that overflow."""
     camera = depth_intrinsics(D435, 424, 240)
     assert not shoot(flat(camera, 10.5), camera, SHARP).any()
     assert shoot(flat(camera, 9.5), camera, SHARP).any()
@@ -138,7 +150,9 @@ def test_nothing_is_measured_beyond_the_maximum_range_or_the_range_of_the_counts
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("z", [0.4, 0.7])
 def test_a_box_hides_the_wall_on_its_left_only(size: tuple[int, int], z: float) -> None:
-    """The second imager on the wrong side, a shadow of wrong width, shadows above and below."""
+    """Catches a second imager on the wrong side, a shadow of wrong width, and shadows above and
+    below.
+    """
     camera = depth_intrinsics(SHARP, *size)
     width, height = size
     left, right, top, bottom = width // 2, width * 3 // 4, height // 4, height * 3 // 4
@@ -157,7 +171,7 @@ def test_a_box_hides_the_wall_on_its_left_only(size: tuple[int, int], z: float) 
 
 
 def test_the_wall_shows_between_a_thin_rod_and_its_shadow() -> None:
-    """A suffix minimum in place of an occlusion test: the whole gap would be lost."""
+    """Catches a suffix minimum in place of an occlusion test, which would lose the whole gap."""
     camera = depth_intrinsics(SHARP, 640, 480)
     exact = flat(camera, 0.8)
     exact[:, 400:410] = 0.4
@@ -170,7 +184,7 @@ def test_the_wall_shows_between_a_thin_rod_and_its_shadow() -> None:
 
 
 def test_the_shadow_of_a_board_that_the_second_imager_sees_larger_is_whole() -> None:
-    """The wall seen through the empty columns between the points of the board."""
+    """Catches a wall that shows through the empty columns between the points of the board."""
     camera = depth_intrinsics(SHARP, 640, 480)
     exact = flat(camera, 1.2)
     exact[:, 250:400] = tilted(camera, 0.4, 1.2)[:, 250:400]
@@ -180,7 +194,10 @@ def test_the_shadow_of_a_board_that_the_second_imager_sees_larger_is_whole() -> 
 
 @pytest.mark.parametrize("slope", [-1.7, -0.8, 0.8, 1.7])
 def test_a_tilted_plane_hides_nothing_of_itself_and_has_no_edges(slope: float) -> None:
-    """Pixels of one surface that fall into one column of the second image, or its steepness, taken for a depth edge."""
+    """Catches a slanted surface that is taken for a depth edge or for its own occluder.
+
+    Several of its pixels fall into one column of the second image.
+    """
     camera = depth_intrinsics(D435, 640, 480)
     x = np.broadcast_to((np.arange(640) - camera.cx)[None] / camera.fx, (480, 640))
     y = np.broadcast_to((np.arange(480) - camera.cy)[:, None] / camera.fy, (480, 640))
@@ -196,7 +213,7 @@ def test_a_tilted_plane_hides_nothing_of_itself_and_has_no_edges(slope: float) -
 
 
 def test_grazing_surfaces_are_lost() -> None:
-    """Incidence taken from the optical axis instead of the ray, or left out."""
+    """Catches incidence taken from the optical axis instead of the ray, or left out."""
     camera = depth_intrinsics(D435, 640, 480)
     below = (np.arange(480) - camera.cy)[:, None] / camera.fy
     z = np.where(below > 0.02, 0.2 / np.maximum(below, 0.02), 0)  # a floor 0.2 m under the camera
@@ -204,11 +221,11 @@ def test_grazing_surfaces_are_lost() -> None:
     depth = shoot(exact, camera, SHARP)
     side = (np.arange(640) - camera.cx)[None] / camera.fx
     angle = np.degrees(np.arccos(np.clip(below, 0, None) / np.sqrt(1 + below**2 + side**2)))
-    seen = (exact > 0) & (np.arange(640)[None] > camera.fx * 0.05 / np.maximum(exact, 0.1) + 2)
-    seen[:260] = False  # the horizon is an edge
-    assert not depth[seen & (angle > 81)].any()
-    assert np.mean(depth[seen & (angle > 67) & (angle < 78)] > 0) == pytest.approx(0.6, abs=0.04)
-    assert np.mean(depth[seen & (angle < 63)] > 0) > 0.999
+    visible = (exact > 0) & (np.arange(640)[None] > camera.fx * 0.05 / np.maximum(exact, 0.1) + 2)
+    visible[:260] = False  # the horizon is an edge
+    assert not depth[visible & (angle > 81)].any()
+    assert np.mean(depth[visible & (angle > 67) & (angle < 78)] > 0) == pytest.approx(0.6, abs=0.04)
+    assert np.mean(depth[visible & (angle < 63)] > 0) > 0.999
 
 
 def test_edges_have_holes_and_values_between_the_surfaces() -> None:
@@ -240,7 +257,10 @@ def test_equal_generators_give_equal_bytes_and_others_do_not() -> None:
 
 
 def test_draws_of_a_pixel_do_not_depend_on_the_rest_of_the_image() -> None:
-    """Draws counted by what is visible: one changed pixel would change the noise of a whole twin image."""
+    """Catches draws that depend on what is visible.
+
+    One changed pixel would change the noise of a whole twin image.
+    """
     camera = depth_intrinsics(D435, 424, 240)
     one, other = flat(camera, 0.5), flat(camera, 0.5)
     other[:100] = 0
@@ -249,7 +269,9 @@ def test_draws_of_a_pixel_do_not_depend_on_the_rest_of_the_image() -> None:
 
 @pytest.mark.parametrize("bad", [0.0, np.nan, np.inf, -1.0, 1e-30])
 def test_what_is_not_a_depth_stays_nothing(bad: float) -> None:
-    """A warning, an exception, a value made of nothing, or a hole that spreads."""
+    """Catches a warning, an exception, a value where there is no surface, or a
+    hole that spreads.
+    """
     camera = depth_intrinsics(D435, 424, 240)
     exact = flat(camera, 0.5)
     exact[100:120, 200:230] = bad
@@ -270,14 +292,20 @@ def offset(x: float) -> Array:
 
 @pytest.mark.parametrize("T", [np.eye(4), offset(1e-7), increment(np.array([0, 0, 0, 0, 0, 1e-7]))])
 def test_alignment_to_the_same_camera_changes_nothing(T: Array) -> None:
-    """Rectangles a pixel too large, rounding by truncation; the nearly equal transforms take the long way."""
+    """Catches rectangles a pixel too large, and rounding by truncation.
+
+    Nearly equal transforms are aligned pixel by pixel, equal ones are copied.
+    """
     depth = generator(1, "a", 0).integers(0, 65535, (480, 640)).astype(np.uint16)
     depth[::7] = 0
     np.testing.assert_array_equal(align_to_colour(depth, CAMERA, CAMERA, T, 0.001), depth)
 
 
 def test_alignment_shifts_a_plane_by_its_disparity() -> None:
-    """The wrong sign or the inverse transform: the colour camera of a D435 lies at -x, so its image shifts to +x."""
+    """Catches the wrong sign or the inverse transform.
+
+    The colour camera of a D435 lies at -x, so its image shifts to +x.
+    """
     T = colour_from_depth(D435)
     assert T[0, 3] == 0.015
     depth = np.zeros((480, 640), np.uint16)
@@ -303,7 +331,10 @@ def test_alignment_keeps_the_nearest(side: int) -> None:
 @pytest.mark.parametrize("scale", [1.0, 1.15, 1.3, 1.61])
 @pytest.mark.parametrize("slope", [-0.8, 0.0, 0.8])
 def test_alignment_leaves_no_cracks_when_it_magnifies(scale: float, slope: float) -> None:
-    """Points instead of rectangles; neighbours at different depth that part by a fraction of a pixel."""
+    """Catches points drawn instead of rectangles.
+
+    Neighbours at different depth part by a fraction of a pixel.
+    """
     colour = replace(CAMERA, fx=385 * scale, fy=385 * scale)
     depth = np.rint(tilted(CAMERA, 0.5, slope, 0.3) * 1000).astype(np.uint16)
     T = increment(np.array([0.015, 0.001, -0.001, 0.004, -0.003, 0.005]))
@@ -312,7 +343,10 @@ def test_alignment_leaves_no_cracks_when_it_magnifies(scale: float, slope: float
 
 
 def test_alignment_puts_points_where_they_are() -> None:
-    """Depth along the wrong camera's axis, intrinsics mixed up, unit forgotten: points of both images must agree."""
+    """Points of both images must agree.
+
+    Catches depth along the wrong camera's axis, intrinsics mixed up, and a unit left out.
+    """
     colour = Intrinsics(424, 240, 310.0, 305.0, 208.0, 121.0)
     T = increment(np.array([0.015, -0.01, 0.02, 0.02, -0.03, 0.01]))
     depth = np.rint(tilted(CAMERA, 0.5, 0.5, 0.2) * 10000).astype(np.uint16)

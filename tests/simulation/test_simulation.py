@@ -1,5 +1,9 @@
-"""The simulator. Catches: truth that its own re-simulation contradicts, recordings that depend on luck or workers, a hand
-that the self-filter misses, sight that is not lost where the camera goes blind, faults that can't be taken out again."""
+"""The simulator.
+
+Catches: truth that its own re-simulation contradicts, recordings that depend on luck or on the
+number of workers, a hand that the self-filter misses, an object that stays visible where the camera
+goes blind, faults that can't be taken out again.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +60,7 @@ hand_eye = { share = 1.0, size = [0.005, 1.0] }
 
 @pytest.fixture(scope="session")
 def egl() -> None:
-    """Drawing without a display; a machine without it skips, CI may not."""
+    """Drawing without a display. A machine that can't skips the test, CI must not."""
     try:
         import mujoco
 
@@ -82,55 +86,68 @@ def truth(campaign: Campaign, wanted: Plan) -> Truth:
     return prove(run, world, near=False)
 
 
-# --- the rule of truth on constructed cases -----------------------------------------------------------------------------
+# --- the rule of truth on constructed cases
 
 
 def test_close_too_early_is_timing(campaign: Campaign) -> None:
-    found = truth(campaign, plan("mug", Faults(close_shift=-2.0)))
-    assert (found.outcome, found.failure_class, found.sub_cause) == ("failure", "timing", "early")
-    assert found.shift_s is not None
-    assert 0.1 < found.shift_s < 0.6
+    """Catches a close two seconds early that is not called timing, or whose shift is wrong."""
+    proved = truth(campaign, plan("mug", Faults(close_shift=-2.0)))
+    assert (proved.outcome, proved.failure_class, proved.sub_cause) == (
+        "failure",
+        "timing",
+        "early",
+    )
+    assert proved.shift_s is not None
+    assert 0.1 < proved.shift_s < 0.6
 
 
 @pytest.mark.slow
 def test_close_too_late_after_drifting_off_is_timing_not_collision(campaign: Campaign) -> None:
-    """The drifting hand pushes the box by centimetres, but putting it back would not have helped."""
-    found = truth(
+    """The drifting hand pushes the box by centimetres, but putting it back would not have helped.
+
+    Catches a push that counts although it is not the cause.
+    """
+    proved = truth(
         campaign,
         plan(
             "pudding_box", Faults(evaluator_bias=0.25, velocity_bias=(0, 0.05, 0), close_shift=1.0)
         ),
     )
-    assert (found.failure_class, found.sub_cause) == ("timing", "late")
-    assert found.facts is not None
-    assert found.facts.displacement_m > 0.02
+    assert (proved.failure_class, proved.sub_cause) == ("timing", "late")
+    assert proved.facts is not None
+    assert proved.facts.displacement_m > 0.02
 
 
 def test_offset_that_no_close_time_can_save_is_imprecise(campaign: Campaign) -> None:
-    found = truth(campaign, plan("rubiks_cube", Faults(grasp_offset=(0, 0.03, 0, 0, 0, 0))))
-    assert found.failure_class == "imprecise_pose"
-    assert not any(success for _, success in found.curve)
-    assert found.pose_error_m is not None
-    assert 0.008 <= found.pose_error_m <= 0.03, (
+    """Catches an offset palm that is blamed on the close time, and a pose error of another size."""
+    proved = truth(campaign, plan("rubiks_cube", Faults(grasp_offset=(0, 0.03, 0, 0, 0, 0))))
+    assert proved.failure_class == "imprecise_pose"
+    assert not any(success for _, success in proved.curve)
+    assert proved.pose_error_m is not None
+    assert 0.008 <= proved.pose_error_m <= 0.03, (
         "more than a good grasp forgives, no more than what was put in"
     )
 
 
 def test_sweep_that_knocks_the_object_off_its_path_is_collision(campaign: Campaign) -> None:
-    found = truth(campaign, plan("mug", Faults(descent=6.0), home_y=-0.27))
-    assert (found.failure_class, found.sub_cause) == ("collision", "displaced")
-    assert found.facts is not None
-    assert found.facts.put_back
+    """Catches a push that is the cause and does not count."""
+    proved = truth(campaign, plan("mug", Faults(descent=6.0), home_y=-0.27))
+    assert (proved.failure_class, proved.sub_cause) == ("collision", "displaced")
+    assert proved.facts is not None
+    assert proved.facts.put_back
 
 
 def test_harmless_contact_in_a_success_has_no_class(campaign: Campaign) -> None:
-    found = truth(campaign, plan("pudding_box", Faults(descent=6.0), home_y=-0.13))
-    assert (found.outcome, found.failure_class) == ("success", None)
-    assert found.t_first_contact is not None
+    """Catches contact alone taken for a collision."""
+    proved = truth(campaign, plan("pudding_box", Faults(descent=6.0), home_y=-0.13))
+    assert (proved.outcome, proved.failure_class) == ("success", None)
+    assert proved.t_first_contact is not None
 
 
 def test_closing_again_at_the_real_close_ends_as_it_did(campaign: Campaign) -> None:
-    """Catches: a state restored without the drives' set points, another policy in the what-if than in the trial."""
+    """Catches a state restored without the drives' set points, and another policy in the re-run
+    than in the trial.
+    """
     for wanted in (
         plan("pudding_box"),
         plan("rubiks_cube", Faults(grasp_offset=(0, 0.03, 0, 0, 0, 0))),
@@ -143,20 +160,22 @@ def test_closing_again_at_the_real_close_ends_as_it_did(campaign: Campaign) -> N
         assert again.success == run.finish.success
 
 
-# --- plans and faults -------------------------------------------------------------------------------------------------
+# --- plans and faults
 
 
 def test_conveyor_meets_every_object_once_at_every_speed() -> None:
-    scenario, things = load_scenario("conveyor"), ten_objects()
-    plans = [plan_trial(scenario, things, 0, k) for k in range(120)]
+    """Catches a plan that skips an object or speed, or does not follow from the seed."""
+    scenario, objects = load_scenario("conveyor"), ten_objects()
+    plans = [plan_trial(scenario, objects, 0, k) for k in range(120)]
     assert len({(p.object, abs(p.speed)) for p in plans}) == 120
     assert {round(abs(p.speed), 3) for p in plans} == {round(0.02 * k, 3) for k in range(12)}
     assert 0 < sum(p.speed > 0 for p in plans) < 110, "both directions"
-    assert plans == [plan_trial(scenario, things, 0, k) for k in range(120)]
-    assert plans != [plan_trial(scenario, things, 1, k) for k in range(120)]
+    assert plans == [plan_trial(scenario, objects, 0, k) for k in range(120)]
+    assert plans != [plan_trial(scenario, objects, 1, k) for k in range(120)]
 
 
 def test_a_fault_taken_out_is_gone_and_the_others_stay() -> None:
+    """Catches a removal that leaves its fault, or takes another with it."""
     faults = Faults(latency=0.1, hand_eye=(0.01, 0, 0, 0, 0, 0), descent=2.0)
     assert faults.present() == ("hand_eye", "latency", "descent")
     assert faults.without("latency").present() == ("hand_eye", "descent")
@@ -187,7 +206,7 @@ def test_unknown_fault_is_named(tmp_path: Path) -> None:
         load_scenario(str(tmp_path / "s.toml"))
 
 
-# --- recordings ------------------------------------------------------------------------------------------------------
+# --- recordings
 
 
 @pytest.fixture(scope="module")
@@ -251,7 +270,10 @@ def test_bag_and_db3_replay_as_mcap_does(tiny: Path, dgeval: Run) -> None:
 
 
 def test_self_filter_finds_the_hand_that_the_camera_sees(egl: None) -> None:
-    """The URDF's solids at the recorded joints against the renderer's own picture of palm, thumb and fingers."""
+    """The URDF's solids at the recorded joints against the renderer's own image of the hand.
+
+    Catches a hand that the self-filter misses, and an object that it takes for the hand.
+    """
     scenario = load_scenario("conveyor")
     wanted = plan("pudding_box")
     world = World(
@@ -263,35 +285,35 @@ def test_self_filter_finds_the_hand_that_the_camera_sees(egl: None) -> None:
     from dgeval.robots.description import load_description
     from dgeval.robots.dlr_hit_hand import T_hand_camera
     from dgeval.robots.urdf import robot_urdf
-    from dgeval.simulation.render import Eyes
+    from dgeval.simulation.render import Renderer
     from dgeval.simulation.seeing import hand_shapes
     from dgeval.simulation.world import home
 
     world.start(home(world, -0.2), FIVE_FINGERS.open, wanted.x, wanted.y, wanted.yaw, wanted.speed)
     description = load_description(robot_urdf(T_hand_camera, FIVE_FINGERS), "test", (), 0.01)
     shapes = hand_shapes(description, world, world.T_base_hand() @ T_hand_camera)
-    with Eyes(world, true_cameras(scenario, wanted), depth_profile(scenario), 0, 0) as eyes:
-        depth = eyes.exact_depth("colour")
-        hand, thing = eyes.mask_of(world.hand_geoms), eyes.mask()
+    with Renderer(world, true_cameras(scenario, wanted), depth_profile(scenario), 0, 0) as renderer:
+        depth = renderer.exact_depth("colour")
+        hand, target = renderer.mask_of(world.hand_geoms), renderer.mask()
         # the quick mask is the other one, also of an object that fingers hide in part
-        assert np.array_equal(eyes.look(0, mask=True)[2], thing)
+        assert np.array_equal(renderer.images(0, mask=True)[2], target)
         between = transform(world.T_base_hand(), (GRASP_CENTRE + np.array([0.0, 0.0, 0.08]))[None])[
             0
         ]
         world.put_object(np.concatenate([between, [1.0, 0.0, 0.0, 0.0]]), np.zeros(6))
-        behind = eyes.mask()
-        assert np.array_equal(eyes.look(0, mask=True)[2], behind)
-        assert behind.sum() > 3 * thing.sum()
+        behind = renderer.mask()
+        assert np.array_equal(renderer.images(0, mask=True)[2], behind)
+        assert behind.sum() > 3 * target.sum()
     camera = true_cameras(scenario, wanted)[0].intrinsics
-    found = hand_pixels(depth, (0, 0), camera, shapes, 0.010)
-    seen = hand & (depth > 0)
-    assert seen.sum() > 20_000
-    assert thing.sum() > 1_000
-    assert found[seen].mean() > 0.995
-    assert found[thing].mean() < 0.01
+    filtered = hand_pixels(depth, (0, 0), camera, shapes, 0.010)
+    visible = hand & (depth > 0)
+    assert visible.sum() > 20_000
+    assert target.sum() > 1_000
+    assert filtered[visible].mean() > 0.995
+    assert filtered[target].mean() < 0.01
 
 
-# --- the committed recordings -----------------------------------------------------------------------------------------
+# --- the committed recordings
 
 
 @pytest.fixture(scope="module")
@@ -304,8 +326,8 @@ def verdict_of(path: Path) -> dict[str, object]:
 
     opened = open_container(path)
     (message,) = opened.messages(frozenset({"/truth/verdict"}))
-    found: dict[str, object] = json.loads(opened.decode(message).data)
-    return found
+    verdict: dict[str, object] = json.loads(opened.decode(message).data)
+    return verdict
 
 
 def test_smoke_holds_every_outcome_and_class(smoke_verdicts: dict[str, dict[str, object]]) -> None:
@@ -315,7 +337,9 @@ def test_smoke_holds_every_outcome_and_class(smoke_verdicts: dict[str, dict[str,
 
 
 def test_smoke_depth_ends_at_the_least_range(smoke_verdicts: dict[str, dict[str, object]]) -> None:
-    """The target's depth is gone before the grasp, and no measurement lies nearer than the camera can."""
+    """The target's depth is gone before the grasp, and no measurement is nearer than the least
+    range.
+    """
     for spec in find_trials([SMOKE / "ci-smoke.toml"])[:2]:
         trial = open_trial(spec, load_config())
         nearest = min(float(f.depth[f.depth > 0].min()) for f in trial.frames())
@@ -336,14 +360,17 @@ def test_smoke_is_replayed_near_the_truth(smoke_run: Path) -> None:
 
     followed = 0
     for spec in find_trials([SMOKE / "ci-smoke.toml"]):
-        found = errors_against_truth(spec, smoke_run)
-        seen = found[found["accepted"] & (found["t_s"] > 0.5) & (found["t_s"] < found["t_sight_s"])]
-        if len(seen) < 10:
+        errors = errors_against_truth(spec, smoke_run)
+        visible = errors[
+            errors["accepted"] & (errors["t_s"] > 0.5) & (errors["t_s"] < errors["t_sight_s"])
+        ]
+        if len(visible) < 10:
             continue
         followed += 1
-        assert seen["position_m"].median() < 0.010, spec.id
-        assert seen["velocity_m_s"].median() < 0.020, spec.id
-    # of the other two, one is out of sight within half a second, the mug's thin walls fail the gate at this resolution
+        assert visible["position_m"].median() < 0.010, spec.id
+        assert visible["velocity_m_s"].median() < 0.020, spec.id
+    # Of the other two, one is out of view within half a second; the mug's thin walls fail the gate
+    # at this resolution.
     assert followed >= 4
 
 
@@ -360,7 +387,7 @@ def test_manifest_says_what_it_was_made_from() -> None:
     assert all(sha256_of(SMOKE / t["recording"]) == t["sha256"] for t in values["trial"])
 
 
-# --- meshes, rendered perception -----------------------------------------------------------------------------------------
+# --- meshes, rendered perception
 
 
 def test_meshes_become_objects_and_millimetres_are_refused(tmp_path: Path) -> None:
@@ -369,10 +396,10 @@ def test_meshes_become_objects_and_millimetres_are_refused(tmp_path: Path) -> No
     ring = trimesh.creation.torus(0.04, 0.012)
     ring.export(tmp_path / "ring.stl")
     (tmp_path / "masses.toml").write_text("ring = 0.2\n")
-    thing = load_meshes(tmp_path)["ring"]
-    assert thing.mass == 0.2
-    assert len(thing.parts) > 4, "a ring of one hull would have no hole"
-    assert np.allclose(thing.extent(), [0.104, 0.104, 0.024], atol=0.002)
+    target = load_meshes(tmp_path)["ring"]
+    assert target.mass == 0.2
+    assert len(target.parts) > 4, "a ring of one hull would have no hole"
+    assert np.allclose(target.extent(), [0.104, 0.104, 0.024], atol=0.002)
     ring.apply_scale(1000)
     ring.export(tmp_path / "ring.stl")
     with pytest.raises(UsageError, match="millimetres"):
@@ -381,7 +408,10 @@ def test_meshes_become_objects_and_millimetres_are_refused(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_a_users_mesh_makes_a_whole_trial(egl: None, tmp_path: Path) -> None:
-    """Catches a mesh that only loads: it is grasped at, seen by the camera, recorded, and its twin rests on the belt."""
+    """Catches a mesh that only loads.
+
+    It is grasped at, visible to the camera, recorded, and its twin rests on the belt.
+    """
     import trimesh
 
     trimesh.creation.box((0.05, 0.07, 0.12)).subdivide().export(tmp_path / "brick.stl")
@@ -410,7 +440,10 @@ def test_a_users_mesh_makes_a_whole_trial(egl: None, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_pipeline_itself_can_see_in_the_loop(egl: None, tmp_path: Path) -> None:
-    """Rendered perception: tracking, registration and fusion on the images drive the arm to the object."""
+    """Rendered perception drives the arm to the object.
+
+    Catches tracking, registration and fusion on images that do not close the loop.
+    """
     scenario = load_scenario("ci-smoke").model_copy(update={"perception": "rendered"})
     campaign = Campaign(scenario, 0, 1, tmp_path)
     with with_images(campaign, plan("pudding_box")) as (run, world, _, kept):

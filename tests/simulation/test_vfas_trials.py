@@ -1,5 +1,9 @@
-"""VFAS-Grasp's trials. Catches: arrangements that overlap, a disc that doesn't carry, a gripper whose twin or description is
-another one, a seed that replay doesn't find, replay that plans otherwise than the loop did, an outcome told wrongly."""
+"""VFAS-Grasp's trials.
+
+Catches: arrangements that overlap, a disc that doesn't carry, a gripper whose twin or description
+is another one, a seed that replay doesn't read, replay that plans otherwise than the loop did, a
+wrong outcome.
+"""
 
 from __future__ import annotations
 
@@ -30,13 +34,13 @@ from dgeval.worlds.objects import eight_objects
 from dgeval.worlds.scene import TURNTABLE_CENTRE, TURNTABLE_TOP, pose_of
 from typer.testing import CliRunner
 
-THINGS = eight_objects()
+OBJECTS = eight_objects()
 
 
 def test_published_sizes() -> None:
-    """YCB's cracker box, chips can, can and bowl in mm."""
+    """YCB's cracker box, chips can, can and bowl in mm. Catches a size in another unit."""
     sizes = {
-        n: sorted(THINGS[n].extent() * 1000) for n in ("cracker_box", "chips_can", "can", "bowl")
+        n: sorted(OBJECTS[n].extent() * 1000) for n in ("cracker_box", "chips_can", "can", "bowl")
     }
     assert sizes["cracker_box"] == pytest.approx([60, 158, 210])
     assert sizes["chips_can"] == pytest.approx([75, 75, 250])
@@ -45,10 +49,14 @@ def test_published_sizes() -> None:
 
 
 def test_arrangements_hold_each_object_as_often_and_stand_apart() -> None:
-    """Ten arrangements, half of the objects each, every one the target three times in each: 15 times as in Table I."""
+    """Ten arrangements of half of the objects; each is the target three times in each: 15 times in
+    all.
+
+    This is Table I of the paper. Catches arrangements that overlap or leave out an object.
+    """
     scenario = load_scenario("table-clearing")
-    plans = [plan_vfas(scenario, THINGS, 0, k) for k in range(scenario.trials)]
-    assert Counter(p.object for p in plans) == dict.fromkeys(THINGS, 15)
+    plans = [plan_vfas(scenario, OBJECTS, 0, k) for k in range(scenario.trials)]
+    assert Counter(p.object for p in plans) == dict.fromkeys(OBJECTS, 15)
     for p in plans:
         assert len(p.others) == 3
         assert p.object not in {o[0] for o in p.others}
@@ -56,36 +64,41 @@ def test_arrangements_hold_each_object_as_often_and_stand_apart() -> None:
         for i, (a, ax, ay) in enumerate(placed):
             for b, bx, by in placed[:i]:
                 reach = (
-                    np.linalg.norm(THINGS[a].extent()[:2]) + np.linalg.norm(THINGS[b].extent()[:2])
+                    np.linalg.norm(OBJECTS[a].extent()[:2])
+                    + np.linalg.norm(OBJECTS[b].extent()[:2])
                 ) / 2
                 assert np.hypot(ax - bx, ay - by) > reach
     assert plans[0].others == plans[40].others
 
 
 def test_turntable_and_handover_plans_are_the_papers() -> None:
+    """Catches plans that leave the paper's objects, radii, angles or counts."""
     scenario = load_scenario("turntable")
-    plans = [plan_vfas(scenario, THINGS, 0, k) for k in range(scenario.trials)]
+    plans = [plan_vfas(scenario, OBJECTS, 0, k) for k in range(scenario.trials)]
     counts = Counter((p.object, round(np.hypot(p.x - TURNTABLE_CENTRE[0], p.y), 3)) for p in plans)
     assert counts == {(o, r): 5 for o in scenario.objects or () for r in (0.06, 0.10, 0.14)}
     assert {p.turn.speed > 0 for p in plans if p.turn} == {True, False}
     assert all(np.radians(60) <= p.turn.angle <= np.radians(120) for p in plans if p.turn)
     scenario = load_scenario("vfas-handover")
-    plans = [plan_vfas(scenario, THINGS, 0, k) for k in range(scenario.trials)]
+    plans = [plan_vfas(scenario, OBJECTS, 0, k) for k in range(scenario.trials)]
     assert Counter(p.object for p in plans) == dict.fromkeys(
         ("bowl", "bottle", "small_box", "mustard"), 24
     )
     ahead = waiting_pose()[:3, 3] + 0.15 * waiting_pose()[:3, 2]
     for p in plans:
         assert p.presenter is not None
-        top = p.presenter.end + np.array([0, 0, THINGS[p.object].extent()[2] / 2 - 0.02])
+        top = p.presenter.end + np.array([0, 0, OBJECTS[p.object].extent()[2] / 2 - 0.02])
         assert np.abs(top - ahead).max() <= 0.03 + 1e-9
 
 
 def test_disc_carries_the_object_through_its_angle() -> None:
-    """The path without a robot: a circle of the radius, at the rate, through the angle, and then rest."""
+    """The path without a robot is a circle: the radius, rate and angle of the disc, and then rest.
+
+    Catches a disc that doesn't carry.
+    """
     setting = Setting(turn=Turn(0.2, -2 * np.pi / 10, np.radians(90)))
     x, y = TURNTABLE_CENTRE[0] + 0.10, TURNTABLE_CENTRE[1]
-    path = twin_path(THINGS["can"], 0.0, x, y, 0.0, 3.5, setting)
+    path = twin_path(OBJECTS["can"], 0.0, x, y, 0.0, 3.5, setting)
     off = path[:, :2] - TURNTABLE_CENTRE
     assert np.hypot(*off.T) == pytest.approx(0.10, abs=0.003)
     turned = np.unwrap(np.arctan2(off[:, 1], off[:, 0]))
@@ -93,7 +106,7 @@ def test_disc_carries_the_object_through_its_angle() -> None:
     assert abs(turned[19]) < 0.002
     middle = (turned[200] - turned[100]) / 1.0
     assert middle == pytest.approx(-2 * np.pi / 10, rel=0.02)
-    assert path[-1, 2] == pytest.approx(THINGS["can"].rest_height() + TURNTABLE_TOP, abs=0.001)
+    assert path[-1, 2] == pytest.approx(OBJECTS["can"].rest_height() + TURNTABLE_TOP, abs=0.001)
     assert np.degrees(2 * np.arccos(abs(path[-1, 3]))) == pytest.approx(
         90, abs=2
     )  # it turns with the disc
@@ -101,12 +114,14 @@ def test_disc_carries_the_object_through_its_angle() -> None:
 
 
 def test_description_and_physics_have_the_same_gripper() -> None:
-    """Catches a finger on the wrong side, a camera or grasp frame elsewhere than the physics has them."""
+    """Catches a finger on the wrong side, and a camera or grasp frame that differs from the
+    physics.
+    """
     description = load_description(robot_urdf(JAW.T_hand_camera, JAW), "jaw", (), 0.012)
     assert hand_of({j.name for j in description.joints.values()}) is JAW
     assert hand_of({"thumb_0"}) is None
     assert hand_of(FIVE_FINGERS.joints) is FIVE_FINGERS
-    world = World(THINGS["can"], 0.0, gripper=JAW)
+    world = World(OBJECTS["can"], 0.0, gripper=JAW)
     world.start(NEAR_HOME, OPEN, 0.5, 0.0, 0.0, 0.0)
     T_left = np.linalg.inv(pose_of(world.data, "hand_base")) @ pose_of(world.data, "left_jaw")
     joint = next(j for j in description.joints.values() if j.name == "left_jaw")
@@ -119,6 +134,7 @@ def test_description_and_physics_have_the_same_gripper() -> None:
 
 
 def test_jaws_close_at_their_speed() -> None:
+    """Catches another closing speed, and jaws that do not press."""
     assert np.allclose(finger_targets(0.0, OPEN), TRAVEL)
     assert np.allclose(finger_targets(0.1, OPEN), TRAVEL - 0.015)
     assert (finger_targets(1.0, OPEN) < 0).all()
@@ -138,6 +154,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:  # 
 def test_replay_plans_from_the_recording_what_the_loop_did(
     recorded: tuple[Path, dict], tmp_path: Path
 ) -> None:  # type: ignore[type-arg]
+    """Catches a seed that replay doesn't read, another plan than the loop's, and
+    another outcome.
+    """
     path, truth = recorded
     args = [
         "replay",
@@ -158,7 +177,8 @@ def test_replay_plans_from_the_recording_what_the_loop_did(
     assert "sampler" not in row["notes"]  # the seed was recorded
     frames = pd.read_parquet(tmp_path / "run" / "frames" / f"{row['trial']}.parquet")
     before = frames[frames["t_ns"] < row["t_close_ns"]]
-    # the same stages on the same images: the loop's grasp at each frame is replay's, to what joint noise and clocks allow
+    # The same stages on the same images: the loop's grasp at each frame is replay's, as far as
+    # joint noise and clocks allow.
     believed = _believed(path)
     apart = [
         np.linalg.norm(
@@ -196,6 +216,9 @@ def _believed(path: Path) -> dict[int, np.ndarray]:
 
 
 def test_unknown_scenario_parts_are_refused(tmp_path: Path) -> None:
+    """Catches a VFAS scenario without a table, turntable or presenter that is simulated all the
+    same.
+    """
     (tmp_path / "s.toml").write_text('name = "s"\n[pipeline]\npipeline = "vfas"\n')
     result = CliRunner().invoke(
         app, ["simulate", str(tmp_path / "s.toml"), "--out", str(tmp_path / "o"), "--no-images"]
@@ -205,7 +228,10 @@ def test_unknown_scenario_parts_are_refused(tmp_path: Path) -> None:
 
 
 def test_committed_manifests_are_the_plans(tmp_path: Path) -> None:
-    """Catches a scenario that draws other trials than its manifest names. The platform's line may differ."""
+    """Catches a scenario that draws other trials than its manifest names.
+
+    The platform's line may differ.
+    """
     import make_manifests
 
     make_manifests.main(tmp_path)

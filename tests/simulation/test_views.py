@@ -1,4 +1,8 @@
-"""Catches: a review recording that Rerun refuses or that differs from run to run, a report that needs the network."""
+"""The views: a review recording and a report.
+
+Catches: a review that Rerun refuses or that differs from run to run, a report that needs the
+network.
+"""
 
 from __future__ import annotations
 
@@ -52,8 +56,8 @@ def test_report_stands_alone_and_tells_the_trial(
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page)
     assert "https://" not in page
-    for said in ("demo", "success", "target lost", "TransT-M", "dgeval view", "<img"):
-        assert said in page
+    for text in ("demo", "success", "target lost", "TransT-M", "dgeval view", "<img"):
+        assert text in page
 
 
 def test_report_of_no_run_is_a_usage_error(tmp_path: Path, dgeval: Run) -> None:
