@@ -263,7 +263,8 @@ class OneEuroConfig(Section):
 
 
 class VfasConfig(Section):
-    """VFAS-Grasp. Where the description says "ours", the paper gives no figure (PAPERS B1, B9)."""
+    """VFAS-Grasp. Where the description says "ours", the paper gives no figure (docs/papers.md,
+    "Open constants", "Tolerance of the pre-grasp")."""
 
     evaluator: str | None = Field(
         None,

@@ -37,7 +37,7 @@ class Metric:
     meaning: str
 
 
-# Replay quality (DESIGN section 6). Both runs are measured against the hindsight of the baseline,
+# Replay quality. Both runs are measured against the hindsight of the baseline,
 # which is a fact of the log.
 METRICS = (
     Metric("lost", "", True, 0.02, "share of frames in which the tracker had lost the target"),

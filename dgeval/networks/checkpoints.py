@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from dgeval.errors import Place, UsageError
 
-# SHA-256 of the published files, from their Git LFS pointers (PAPERS section 1.2)
+# SHA-256 of the published files, from their Git LFS pointers (docs/papers.md, "Checkpoints")
 PUBLISHED = {
     "eb572b6047f93c979c44d657ef55df275646c42a73cba8e43c01302ac06e41ff": (
         "FFHNet generator, published (10_gen_net.pt)"

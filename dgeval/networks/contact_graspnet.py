@@ -1,9 +1,9 @@
 """Contact-GraspNet as in `cgn-pytorch`: one parallel-jaw grasp at each of 2048 points of a scene.
 
-Its weights are not shipped. Layers have the names of its checkpoint (PAPERS section 6). Two
-accidents of the original are kept, because the weights were trained with them: point i always
-counts as a neighbour of centre i, wherever it lies, and the output of `set_abstract_final` is not
-used.
+Its weights are not shipped. Layers have the names of its checkpoint (docs/papers.md,
+"Contact-GraspNet"). Two accidents of the original are kept, because the weights were trained with
+them: point i always counts as a neighbour of centre i, wherever it lies, and the output of
+`set_abstract_final` is not used.
 """
 
 from __future__ import annotations

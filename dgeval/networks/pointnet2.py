@@ -1,7 +1,7 @@
 """Grasp evaluators of 6-DoF GraspNet's type: PointNet++ on points of the scene and of the gripper.
 
 A label per point tells scene from gripper. Layers have the names of the public PyTorch 6-DoF
-GraspNet (PAPERS section 4.1), whose checkpoints load. VFAS-Grasp's evaluator (section 4.2) is the
+GraspNet (PAPERS section 4.1), whose checkpoints load. VFAS-Grasp's evaluator is the
 same network with other sizes and the opposite labels.
 """
 

@@ -14,7 +14,7 @@ from filterpy.kalman import KalmanFilter
 from dgeval.config import EstimationConfig
 from dgeval.geometry import Array
 
-START_VELOCITY_VARIANCE = 0.25  # (m/s)^2, PAPERS section 7
+START_VELOCITY_VARIANCE = 0.25  # (m/s)^2 (docs/papers.md, "Velocity filter")
 
 
 @dataclass(frozen=True, slots=True)

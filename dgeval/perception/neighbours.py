@@ -1,6 +1,6 @@
 """Nearest neighbours by small_gicp's KD-tree.
 
-It takes half the time of scipy's and gives equal distances (DEPENDENCIES section 3).
+It takes half the time of scipy's and gives equal distances (docs/papers.md, "Nearest neighbours").
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Registration of P_t to the model cloud Q_{t-1}, and the gate (paper III-A.2, PAPERS A3 and A4).
+"""Registration of P_t to the model cloud Q_{t-1}, and the gate (docs/papers.md, "ICP gate", "ICP
+direction and fitness").
 
 Three libraries have the same interface. Each gets the same clouds, search radius and starting pose;
 benchmarks/registration.py decides which one is the default.
@@ -203,7 +204,7 @@ def gate(
 
     Paper III-A.2: the fitness must exceed c_a,f, the motion must not exceed c_a,v and c_a,omega.
     Motion is that of the model's centroid (3,) m, model frame, and of its axes, relative to the
-    camera, since the last accepted frame, `seconds` ago (PAPERS A3).
+    camera, since the last accepted frame, `seconds` ago (docs/papers.md, "ICP gate").
     """
     if registration.reject_reason is not None:
         return registration.reject_reason

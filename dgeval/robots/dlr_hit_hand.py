@@ -1,8 +1,9 @@
 """The five-finger hand: kinematics of the DLR-HIT Hand II, with capsules of our own for its links.
 
 Hand frame `hand_base`: +z along the extended fingers, +x out of the palm, +y towards index and
-thumb. Metres, radians. Dimensions come from the hand's published URDF (SIMULATION section 2): five
-equal fingers of abduction, flexion, flexion and a distal joint coupled 1:1 to the one before it.
+thumb. Metres, radians. Dimensions come from the hand's published URDF (docs/simulation.md,
+"Five-finger hand"): five equal fingers of abduction, flexion, flexion and a distal joint coupled
+1:1 to the one before it.
 """
 
 from __future__ import annotations

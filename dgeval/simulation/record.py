@@ -1,4 +1,4 @@
-"""A finished trial as a recording, in the contract of real logs (DESIGN section 3).
+"""A finished trial as a recording, in the contract of real logs (docs/simulation.md, "Topics").
 
 It also holds the robot's beliefs and the truth.
 """

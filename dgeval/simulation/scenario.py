@@ -71,7 +71,7 @@ class PresenterConfig(_Section):
 
 
 class TableConfig(_Section):
-    """Several objects on the table (VFAS-Grasp, section IV-A).
+    """Several objects on the table (VFAS-Grasp IV-A).
 
     Each arrangement holds half of the objects in turn.
     """
@@ -81,7 +81,7 @@ class TableConfig(_Section):
 
 
 class TurntableConfig(_Section):
-    """The object stands on a disc that turns (VFAS-Grasp, section IV-B).
+    """The object stands on a disc that turns (VFAS-Grasp IV-B).
 
     Each radius is one nominal speed.
     """

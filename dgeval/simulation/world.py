@@ -30,7 +30,7 @@ from dgeval.worlds.presenter import GRIPPED_N, RELEASE_S
 from dgeval.worlds.scene import TURNTABLE_TOP, Camera, build, pose_of
 
 HOLD_S = 1.6  # s, recorded after the lift; ours
-SUCCESS_HOLD_S = 1.0  # s, after the lift ends (SIMULATION section 5)
+SUCCESS_HOLD_S = 1.0  # s, after the lift ends (docs/simulation.md, "Success")
 FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + HOLD_S  # s, from the close command to the end
 
 

@@ -30,7 +30,8 @@ from dgeval.worlds.objects import procedural_object
 HAND = hand_for("ffhnet")
 
 Kind = Literal["generator", "evaluator", "evaluator_fingers"]
-# weights of the generator's loss (PAPERS section 1.5): translation, rotation, joints, KL
+# weights of the generator's loss (docs/papers.md, "FFHNet training"): translation, rotation,
+# joints, KL
 W_T, W_R, W_J, W_KL = 100.0, 1.0, 10.0, 0.005
 # With the authors' 0.3, networks of this size fit their own training data badly: AUC 0.78, not
 # 0.94.

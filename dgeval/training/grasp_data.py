@@ -1,10 +1,10 @@
 """Five-finger grasps of procedural objects, tried in physics: the training data of FFHNet.
 
 An object stands on a table. The hand flies to a pose, closes, lifts, and is shaken. Poses come from
-a random sampler (SIMULATION section 6a) and from perturbing grasps that held. A pose in which the
-open hand overlaps the object is a failure and is not tried. Later an evaluator also learns from
-grasps that it would choose itself, because its mistakes are among the highest scores of thousands
-of candidates.
+a random sampler (docs/simulation.md, "Known grasps") and from perturbing grasps that held. A pose
+in which the open hand overlaps the object is a failure and is not tried. Later an evaluator also
+learns from grasps that it would choose itself, because its mistakes are among the highest scores of
+thousands of candidates.
 """
 
 from __future__ import annotations

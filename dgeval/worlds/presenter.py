@@ -89,7 +89,7 @@ def draw_presenter(
 
 
 def add_presenter(spec: mujoco.MjSpec, extent: Array) -> None:
-    """A mocap body that holds `object` by a soft weld (SIMULATION section 4).
+    """A mocap body that holds `object` by a soft weld (docs/simulation.md, "Presenter").
 
     extent (3,) m: the object's size. Drawn fingers lie round its lower half; they have no contact.
     """

@@ -27,8 +27,8 @@ FLOOR = -0.60  # z
 TURNTABLE_CENTRE, TURNTABLE_RADIUS, TURNTABLE_HEIGHT = (0.50, 0.0), 0.20, 0.02
 TURNTABLE_TOP = TURNTABLE_HEIGHT + 0.001  # z; it stands clear of the belt
 BELT_GROUP = 1  # MuJoCo's geom group of the belt, so that it can be drawn apart from the floor
-# s. At 4 ms and more, grasps that hold at 1 ms begin to slip (SIMULATION section 4);
-# measured by `python -m benchmarks.contact_settings`.
+# s. At 4 ms and more, grasps that hold at 1 ms begin to slip (docs/simulation.md, "Time step and
+# friction cone"); measured by `python -m benchmarks.contact_settings`.
 TIMESTEP = 0.002
 # MuJoCo's camera looks along -z with y up; the optical frame looks along +z with y down.
 OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -20,7 +20,7 @@ from dgeval.worlds.textures import Look
 
 # All values are ours.
 LOOK = Look("mottled", (150, 150, 150))  # RGB, grey: the cloud has no colour
-# kg/m^3, of the household objects in SIMULATION section 7 (70 to 900); a log does not give it.
+# kg/m^3, of household objects (docs/simulation.md, "Objects"); a log does not give it.
 DENSITY = 350.0
 MASS_RANGE = (0.03, 0.60)  # kg, to which the mass is clipped
 BALL_RMS = 0.002  # m, most RMS residual of a ball's best sphere

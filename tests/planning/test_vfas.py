@@ -428,7 +428,8 @@ def textured(shift: float) -> np.ndarray:
 
 
 def test_motion_field_takes_the_cameras_own_motion_out() -> None:
-    """Catches a camera's motion taken for the scene's: a wall 0.3 m away (PAPERS B5).
+    """Catches a camera's motion taken for the scene's: a wall 0.3 m away (docs/papers.md, "Lifting
+    the flow").
 
     If the wall moves its speed is measured; if the camera moves past it the speed is 0.
     """

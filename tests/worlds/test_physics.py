@@ -40,7 +40,7 @@ HOME = np.array([0.0, 0.3, 0.0, 1.6, 0.0, 0.5, 0.0])  # over the belt, fingers d
 JOINTS = (*arm.JOINT_NAMES, *hand.JOINT_NAMES)
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
-# mm, SIMULATION section 7: the two horizontal sizes, then the height
+# mm (docs/simulation.md, "Objects"): the two horizontal sizes, then the height
 TABLE_MM = {
     "sugar_box": (38, 89, 175),
     "pudding_box": (35, 110, 89),
@@ -53,8 +53,8 @@ TABLE_MM = {
     "foam_brick": (50, 75, 50),
     "rubiks_cube": (57, 57, 57),
 }
-# m in hand_base, SIMULATION section 2: fingertip at q = (0, 0, 0), and at (0, .6, .5) with the
-# distal joint at .5 too
+# m in hand_base (docs/simulation.md, "Five-finger hand"): fingertip at q = (0, 0, 0), and at (0,
+# .6, .5) with the distal joint at .5 too
 TIPS = {
     "thumb": ((0.1079, 0.0643, 0.1729), (0.0302, 0.0109, 0.1646)),
     "index": ((-0.0025, 0.0368, 0.2144), (0.0771, 0.0298, 0.1637)),
@@ -62,7 +62,7 @@ TIPS = {
     "ring": ((0.0, -0.0168, 0.2192), (0.0796, -0.0098, 0.1685)),
     "little": ((0.0010, -0.0434, 0.2002), (0.0797, -0.0295, 0.1495)),
 }
-# the Diana 7's joints, SIMULATION's last table: origin xyz in mm, roll and yaw in quarter turns
+# the Diana 7's joints (docs/simulation.md, "Arm"): origin xyz in mm, roll and yaw in quarter turns
 # (no pitch)
 DIANA = [
     (0, 0, 285.6, -2, 0),

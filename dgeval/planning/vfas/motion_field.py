@@ -50,7 +50,7 @@ class MotionField:
 
         None for the first frame and with too few points. colour (h, w, 3) RGB, depth (h, w) m, 0
         for none. Both ends of the flow are lifted with their own frame's depth and camera pose, so
-        that a moving wrist does not look like a moving object (PAPERS B5).
+        that a moving wrist does not look like a moving object (docs/papers.md, "Lifting the flow").
         """
         grey = np.ascontiguousarray(cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY))
         previous, self._previous = self._previous, (t_ns, grey, depth, T_base_camera)

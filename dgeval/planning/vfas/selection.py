@@ -1,5 +1,5 @@
-"""VFAS-Grasp (section III): candidates near a seed grasp, their score, the adaptive region,
-pre-grasp.
+"""VFAS-Grasp (docs/papers.md, "VFAS-Grasp"): candidates near a seed grasp, their score, the
+adaptive region, pre-grasp.
 
 In one iteration the seed moves with the motion field, candidates are drawn near it and scored, and
 the best one, low-passed, becomes the next seed. The goal is the pre-grasp pose until the gripper
@@ -26,7 +26,8 @@ from dgeval.robots.hand import hand_for
 REACH = 0.20  # m; points this near to the seed can lie in a candidate's crop
 MOST_POINTS = 12_000  # points of the cloud near the seed that are used
 LEAST_POINTS = 30  # points in a crop; with fewer the quality is 0
-# m; the Panda's control points in its base frame, of 6-DoF GraspNet (PAPERS section 4.1)
+# m; the Panda's control points in its base frame, of 6-DoF GraspNet (docs/papers.md, "Grasp
+# evaluator")
 CONTROL_POINTS = np.array(
     [
         [0, 0, 0],
@@ -44,7 +45,7 @@ def perturbed(T_seed: Array, half: Array, angle: float, rng: np.random.Generator
     """T_seed (n, 4, 4) right-multiplied by uniformly drawn motions.
 
     Position within ±half (3,) m, pitch (about y) and yaw (about z) within ±angle rad. Roll, about
-    the closing axis x, stays: R = Rz(yaw) Ry(pitch) (PAPERS B4).
+    the closing axis x, stays: R = Rz(yaw) Ry(pitch) (docs/papers.md, "Axes of the perturbation").
     """
     n = len(T_seed)
     moves = np.tile(np.eye(4), (n, 1, 1))
@@ -278,7 +279,8 @@ class Vfas:
     def _hold(self, T_base_pregrasp: Array, T_base_hand: Array | None, good: bool) -> bool:
         """Whether the hand was at the pre-grasp pose of a good grasp for hold_iterations in a row.
 
-        Within hold_distance m and hold_angle degrees (PAPERS B9).
+        Within hold_distance m and hold_angle degrees (docs/papers.md, "Tolerance of the
+        pre-grasp").
         """
         c = self._config
         within = (
