@@ -9,7 +9,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from dgeval.config import Config, load_config
-from dgeval.errors import UsageError
+from dgeval.determinism import limit_threads
+from dgeval.errors import Place, UsageError
 from dgeval.hindsight import second_pass
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.hindsight.surface import Seen, Surface, seen_of
@@ -24,30 +25,39 @@ from dgeval.verdict.judge import Judgement, judge
 
 
 def open_trial(path: Path, config: Config | None = None, trial: str | None = None) -> Trial:
-    """A trial of a recording or manifest, ready to be read.
+    """A trial of a recording, folder or manifest, ready to be read.
 
-    config: default that of the pipeline `dynamic`. trial: its id, needed where there are several.
-    Errors: UnreadableError, UsageError.
+    config: of `dgeval.config.load_config`; default that of the pipeline `dynamic`. trial: its id,
+    needed where there are several; a recording's id is its file name without suffix. Images are
+    read later, in `replay_trial` and `look_back`. UnreadableError where nothing can be read,
+    UsageError where not exactly one trial fits; it names the trials there are.
     """
     config = config or load_config("dynamic", ())
-    specs = [s for s in find_trials([path], config.roles.events) if trial in (None, s.id)]
-    if len(specs) != 1:
-        raise UsageError(f"{len(specs)} trials in {path}, one is needed", hint="name it by its id")
-    return trials.open_trial(specs[0], config)
+    specs = find_trials([path], config.roles.events)
+    chosen = [s for s in specs if trial in (None, s.id)]
+    if len(chosen) != 1:
+        ids = ", ".join(s.id for s in specs)
+        what = "several trials" if trial is None else f"no trial {trial!r}"
+        raise UsageError(what, Place(str(path)), f"name one of {ids}")
+    return trials.open_trial(chosen[0], config)
 
 
 def replay_trial(trial: Trial, perception: Perception | None = None) -> Iterator[Step]:
-    """The causal pass: frames in order, each with what the stages made of it; `Step.row` is its table row.
+    """The causal pass: frames in order, each with what the stages made of it.
 
-    perception: a new `Perception(trial.config)` to keep for `look_back`.
+    `Step.row` is the frame's row of the frames table; keys of null columns may be missing.
+    perception: a new `Perception(trial.config)`, to keep for `look_back`. Sets one thread in numpy,
+    OpenCV and torch for this process, so that the rows are those of `dgeval replay`.
     """
+    limit_threads()
     return causal.replay(trial, trial.config, perception)
 
 
 def look_back(trial: Trial, steps: Iterable[Step], perception: Perception) -> Hindsight | None:
-    """The second pass, after all steps of `replay_trial` with this perception; reads the images again.
+    """The second pass, with the whole log known: path, sightings and contacts of the object.
 
-    None where the object was never tracked. Steps hold images: pass them on as they come.
+    steps: all of `replay_trial` with this perception. They hold images: pass the iterator on
+    instead of a list. Images are read a second time. None where the object was never tracked.
     """
     seen: list[Seen] = []
     surface = Surface()
@@ -60,10 +70,17 @@ def look_back(trial: Trial, steps: Iterable[Step], perception: Perception) -> Hi
 
 
 def judge_trial(trial: Trial, hindsight: Hindsight | None) -> Judgement:
-    """Outcome, class, probabilities, blame and evidence of a trial, and the decisive moment ns."""
+    """The verdict: outcome, class with probabilities, blame, evidence, and the decisive moment ns.
+
+    hindsight: of `look_back`. Nothing reads the recorded truth. A failure takes up to a minute: the
+    twin closes the hand at other times.
+    """
     return judge(trial, hindsight, trial.config)
 
 
 def load_run(folder: Path) -> Run:
-    """A finished run folder: its tables as pandas frames. UsageError where it is none."""
+    """A finished run folder of `dgeval replay`: its tables as pandas frames.
+
+    UsageError where the folder is no finished run.
+    """
     return read_run(folder)

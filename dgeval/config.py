@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic_core import PydanticCustomError
 
 from dgeval.errors import Place, UsageError
 
 Model = TypeVar("Model", bound=BaseModel)
+TRACKERS = "dgeval.perception.trackers"  # a layer above: imported where a method is given
 Pose7 = tuple[float, float, float, float, float, float, float]
 
 
@@ -133,6 +136,17 @@ class TrackingConfig(Section):
     reacquire_s: float = Field(
         2.0, ge=0, description="how long after a loss the target is looked for where it should be"
     )
+
+    @field_validator("method")
+    @classmethod
+    def _is_a_tracker(cls, method: str) -> str:
+        """Refuse a name that no tracker has before a recording is opened."""
+        try:
+            import_module(TRACKERS).tracker_named(method)
+        except UsageError as error:
+            text = "no such tracker, {hint}"
+            raise PydanticCustomError("tracker", text, {"hint": error.hint}) from error
+        return method
 
 
 class ObservationConfig(Section):

@@ -1,4 +1,4 @@
-"""Parts that are found by their folder or by an entry point, so that adding one is adding one file."""
+"""Parts found by their folder or by an entry point, so that adding one is adding one file."""
 
 from __future__ import annotations
 

@@ -19,6 +19,15 @@ def test_files_and_functions_of_the_walk_exist() -> None:
         assert re.search(rf"^(def|class) {name}\b|^{name}\b", code, re.MULTILINE), name
 
 
+def test_a_function_stands_in_the_file_it_is_named_with() -> None:
+    """Catches a walk that sends the reader to the wrong file."""
+    pairs = re.findall(r"`(\w+)`\s+(?:\w+\s+)?in\s+`(dgeval/[\w/]+\.py)`", WALK)
+    assert len(pairs) >= 9
+    for name, file in pairs:
+        code = (ROOT / file).read_text(encoding="utf-8")
+        assert re.search(rf"^(def|class) {name}\b|^{name}\b", code, re.MULTILINE), (name, file)
+
+
 def test_every_package_is_described() -> None:
     for path in sorted((ROOT / "dgeval").iterdir()):
         if path.name.startswith("_") or path.suffix not in ("", ".py"):

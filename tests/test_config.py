@@ -38,6 +38,8 @@ def test_defaults_are_the_papers_table_v() -> None:
         ("fusion.epsilon=-1", "greater than 0"),
         ("fusion.epsilon", "section.key=value"),
         ("seed.x=1", "seed"),
+        ("tracking.method=modle", "did you mean 'model'? (got 'modle')"),
+        ("tracking.method=x", "there are csrt, model"),
     ],
 )
 def test_mistakes_are_named(assignment: str, message: str) -> None:

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace as with_fields
 from pathlib import Path
+from types import ModuleType
 
+import mujoco
 import pytest
-from dgeval import failure_rule
+from dgeval import failure_rule, plugins
 from dgeval.config import load_config
 from dgeval.errors import UsageError
 from dgeval.failure_rule import Facts, SubCause, Verdict, classify
@@ -22,7 +25,10 @@ from dgeval.recording.inspection import inspect_recording
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
 from dgeval.replay.causal import replay
-from dgeval.robots.hand import hand_of, hands
+from dgeval.robots.description import load_description
+from dgeval.robots.hand import hand_for, hand_of, hands
+from dgeval.robots.urdf import robot_urdf
+from dgeval.runs.workers import replay_trials
 from dgeval.verdict.decide import Decision, Draw, Draws
 from dgeval.verdict.outcome import Ended
 from dgeval.verdict.sentence import Times, sentence
@@ -31,6 +37,11 @@ from dgeval.worlds.scene import build
 from mcap.writer import Writer
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "extending.md"
+ADDED = (
+    "dgeval.robots.claw",
+    "dgeval.perception.trackers.fixed_box",
+    "dgeval.recording.encodings.text",
+)
 
 
 def blocks() -> dict[str, str]:
@@ -54,22 +65,39 @@ def forget() -> Iterator[None]:
     yield
     for cached in (hands, trackers, decoders, codecs):
         cached.cache_clear()
-    for name in [n for n in sys.modules if n.rsplit(".", 1)[-1] in ("claw", "fixed_box", "text")]:
-        del sys.modules[name]
+    for name in ADDED:
+        sys.modules.pop(name, None)
 
 
 def test_a_hand_is_one_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Found for its joints, and built in a world."""
+    """Found for its joints, built in a world, and closed there.
+
+    Catches an example whose grip, drives or description name joints that the hand does not have,
+    and one that takes another hand's place.
+    """
     added(monkeypatch, "dgeval.robots", tmp_path, "claw.py")
     hand = hand_of({"claw_left", "claw_right", "arm_1"})
     assert hand is not None
     assert hand.name == "claw"
     model = build(ten_objects()["apple"], robot="hand", gripper=hand)
-    assert model.joint("claw_left").name == "claw_left"
+    assert {model.joint(j).name for j in hand.joints} == {"claw_left", "claw_right"}
+    assert set(hand.grip.joints) <= set(hand.joints)
+    description = load_description(robot_urdf(hand.T_hand_camera, hand), hand.name, (), 0.01)
+    assert {j.name for j in description.joints.values()} >= set(hand.joints)
+    assert hand_for("vfas").name == "parallel_jaw"
+
+    data = mujoco.MjData(model)
+    places = [model.jnt_qposadr[model.joint(j).id] for j in hand.joints]
+    data.qpos[places] = hand.open
+    while data.time < hand.close_s:
+        for drive, target in zip(hand.drives, hand.targets(data.time, hand.open), strict=True):
+            data.actuator(drive).ctrl = target
+        mujoco.mj_step(model, data)
+    assert (data.qpos[places] < 0.002).all()  # m of travel left, of 50 mm
 
 
 def test_a_tracker_is_one_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, demo: Path) -> None:
-    """It gives the boxes of a replay."""
+    """It gives the boxes of a replay, and its name stands in the trial's notes."""
     added(monkeypatch, "dgeval.perception.trackers", tmp_path, "fixed_box.py")
     config = load_config("dynamic", ("tracking.method=fixed_box",))
     trial = open_trial(find_trials([demo])[0], config)
@@ -77,6 +105,18 @@ def test_a_tracker_is_one_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, 
     tracked = [r for r in rows if r["tracking"] == "tracked"]
     assert tracked
     assert {r["box_x0"] for r in tracked} == {10.0}
+    spec = with_fields(find_trials([demo])[0], frames=(0, 3))
+    results = replay_trials([spec], config, tmp_path / "run", None, False, 1, lambda _: None)
+    row = results[0].row
+    assert row is not None, results[0].messages
+    assert row["n_frames"] == 3
+    assert "stand-in: a fixed box in place of TransT-M" in row["notes"]
+
+
+def test_without_its_file_a_tracker_is_refused() -> None:
+    """Catches a test above that would pass with a tracker that is left over."""
+    with pytest.raises(UsageError, match="there are csrt, model"):
+        load_config("dynamic", ("tracking.method=fixed_box",))
 
 
 def test_a_tracker_that_is_not_there_is_named_with_the_nearest() -> None:
@@ -85,8 +125,7 @@ def test_a_tracker_that_is_not_there_is_named_with_the_nearest() -> None:
 
 
 def test_an_encoding_is_one_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A recording in it is read: its events are found."""
-    added(monkeypatch, "dgeval.recording.encodings", tmp_path, "text.py")
+    """A recording in it is read: its events are found, and were not before."""
     path = tmp_path / "a.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)
@@ -96,8 +135,53 @@ def test_an_encoding_is_one_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         for t_ns, data in ((10, b'{"event": "close"}'), (20, b'{"event": "lift"}')):
             writer.add_message(channel, t_ns, data, t_ns)
         writer.finish()
-    events = inspect_recording(path, load_config("dynamic", ()))["events"]
-    assert [e["event"] for e in events] == ["close", "lift"]
+    config = load_config("dynamic", ())
+    before = inspect_recording(path, config)
+    assert before["events"] == []
+    assert before["topics"][0]["undecodable"] == 2
+    decoders.cache_clear()
+    added(monkeypatch, "dgeval.recording.encodings", tmp_path, "text.py")
+    after = inspect_recording(path, config)
+    assert [e["event"] for e in after["events"]] == ["close", "lift"]
+    assert "undecodable" not in after["topics"][0]
+    assert after["damage"] == []
+
+
+@pytest.mark.parametrize(
+    ("group", "name", "find", "key"),
+    [
+        ("dgeval.hands", "claw.py", lambda: [h.name for h in hands()], "claw"),
+        ("dgeval.trackers", "fixed_box.py", lambda: list(trackers()), "fixed_box"),
+        ("dgeval.encodings", "text.py", lambda: list(decoders()), ("text", "plain")),
+    ],
+)
+def test_an_entry_point_names_a_module(
+    group: str,
+    name: str,
+    find: Callable[[], list[object]],
+    key: object,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Catches a group whose name is not the page's, and an installed package that is not found."""
+    module = ModuleType("installed")
+    exec(blocks()[name], module.__dict__)
+    assert f"`{group}`" in PAGE.read_text(encoding="utf-8")
+
+    class Entry:
+        name = "installed"
+
+        def load(self) -> ModuleType:
+            return module
+
+    asked: list[str] = []
+
+    def installed(group: str) -> list[Entry]:
+        asked.append(group)
+        return [Entry()]
+
+    monkeypatch.setattr(plugins, "entry_points", installed)
+    assert key in find()
+    assert asked == [group]
 
 
 def test_a_sub_cause_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
