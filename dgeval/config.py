@@ -267,7 +267,7 @@ class ServoConfig(Section):
 
 
 class OneEuroConfig(Section):
-    """Parameters of the 1 euro filter at 20 Hz: PAPERS 7's, as the paper gives none."""
+    """Parameters of the 1 euro filter at 20 Hz (docs/papers.md, "Low pass")."""
 
     position_cutoff: float = Field(1.5, gt=0, description="Hz, least")
     position_beta: float = Field(5.0, ge=0, description="Hz per m/s")

@@ -12,11 +12,8 @@ from dgeval.recording.robot import RobotStates
 
 FIRST_S = 0.5  # from which the path is begun
 
-OFF_PATH_M, OFF_PATH_RAD, OFF_PATH_COUNT = (
-    0.006,
-    0.12,
-    3,
-)  # sightings in a row this far off the path so far
+# sightings in a row this far off the path so far
+OFF_PATH_M, OFF_PATH_RAD, OFF_PATH_COUNT = 0.006, 0.12, 3
 
 PUSHING_M = 0.030  # m; hand to the sighted object, when it leaves its path
 

@@ -18,10 +18,8 @@ KnownBy = Literal["path", "registration", "depth", "colour", "hand", "support"]
 
 WINDOW_BEFORE_S, WINDOW_AFTER_S = 4.0, 4.0  # around the close, where frames are looked at again
 
-RISEN_M, HELD_M = (
-    0.05,
-    0.015,
-)  # the palm off its place at the close; the object off its place in the palm
+# the palm off its place at the close; the object off its place in the palm
+RISEN_M, HELD_M = 0.05, 0.015
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +84,9 @@ def moments_of(
 ) -> tuple[Moment, ...]:
     """The object in every frame from some seconds before the close on, and the hand's nearest link.
 
-    Up to the push, or the close, it is on its path. Afterwards it is where it is seen; between sightings it moves with the
-    hand if it was seen to, else, up to the close, with what it stands on.
+    Up to the push, or the close, it is on its path. Afterwards it is where it is seen; between
+    sightings it moves with the hand if it was seen to, else, up to the close, with what it stands
+    on.
     """
     step = max(1, len(model.points) // 400)
     left_ns = end_ns if pushed_ns is None else min(pushed_ns, end_ns)

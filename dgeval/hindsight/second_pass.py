@@ -1,9 +1,10 @@
 """The second pass: the same log with the future allowed.
 
-The final model is looked for again in every frame in which the causal pass did not find it, from where the smoothed path
-says it must be: through the blind gap in colour, after the close, and after the lift. What the causal pass accepted and
-what this finds is smoothed in one piece up to the first contact; beyond it the object's free path is extrapolated, and
-sightings say what it really did. Nothing here reads the truth or the robot's beliefs.
+The final model is looked for again in every frame in which the causal pass did not find it, from
+where the smoothed path says it must be: through the blind gap in colour, after the close, and after
+the lift. What the causal pass accepted and what this finds is smoothed in one piece up to the first
+contact; beyond it the object's free path is extrapolated, and sightings say what it really did.
+Nothing here reads the truth or the robot's beliefs.
 """
 
 from __future__ import annotations
@@ -35,10 +36,8 @@ GapSided = Literal["none", "one", "two"]
 CONTACT_M = 0.006  # m; a hand this near may be pushing: measured clouds are not more exact
 NO_GAP_S = 0.1
 MIN_COLOUR = 12  # features
-CARRIED_S, APART_M = (
-    1.0,
-    0.01,
-)  # a sighting is a prior for so long, where it is so far from the others
+# a sighting is a prior for so long, where it is so far from the others
+CARRIED_S, APART_M = 1.0, 0.01
 MOST_MISSED = 45  # frames kept to be gone through backwards
 BACKWARD_NS = 250_000_000  # from one frame to the one before it, in going backwards
 
@@ -47,10 +46,11 @@ BACKWARD_NS = 250_000_000  # from one frame to the one before it, in going backw
 class Hindsight:
     """What the whole log says about the object.
 
-    contact_ns: first time before the close at which the hand was within CONTACT_M of it on its free path, and the link.
-    pushed_ns: when it was seen to leave that path with the hand at it. n_registered: sightings by an accepted registration
-    up to the close. gap_s: from the last sighting to the close; None without a close. moments: frame by frame from
-    WINDOW_BEFORE_S before the close on; empty without an attempt.
+    contact_ns: first time before the close at which the hand was within CONTACT_M of it on its free
+    path, and the link. pushed_ns: when it was seen to leave that path with the hand at it.
+    n_registered: sightings by an accepted registration up to the close. gap_s: from the last
+    sighting to the close; None without a close. moments: frame by frame from WINDOW_BEFORE_S before
+    the close on; empty without an attempt.
     """
 
     path: Path

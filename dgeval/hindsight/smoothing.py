@@ -14,11 +14,8 @@ from scipy.spatial.transform import Rotation
 from dgeval.geometry import Array, transform
 
 By = Literal["registration", "depth", "colour"]
-ACCELERATIONS = (
-    0.002,
-    0.05,
-    0.5,
-)  # m/s^2; the most likely of them describes how smoothly the object moves
+# m/s^2; the most likely of them describes how smoothly the object moves
+ACCELERATIONS = 0.002, 0.05, 0.5
 # m; of one sighting. Registration is precise but wobbles slowly by 1-3 mm as views change: less would be taken for motion
 SIGMA: dict[By, float] = {"registration": 0.002, "depth": 0.004, "colour": 0.004}
 
@@ -76,7 +73,8 @@ class Path:
 def smooth(sightings: list[Sighting], centroid: Array) -> Path:
     """Rauch-Tung-Striebel smoothing of the model's centroid, and its mean orientation.
 
-    How smoothly the object moves is found out: of ACCELERATIONS the one that makes the sightings most likely.
+    How smoothly the object moves is found out: of ACCELERATIONS the one that makes the sightings
+    most likely.
     """
     t_ns = np.array([s.t_ns for s in sightings], dtype=np.int64)
     t = (t_ns - t_ns[0]) * 1e-9

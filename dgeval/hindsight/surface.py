@@ -53,8 +53,8 @@ class Surface:
 class Seen:
     """One frame of the causal pass.
 
-    T_camera_model: the accepted one, or None; T_tracked: the tracker's own word where it had the target, by depth or by
-    `n_features` in colour. support: what the object stands on, base frame.
+    T_camera_model: the accepted one, or None; T_tracked: the tracker's own word where it had the
+    target, by depth or by `n_features` in colour. support: what the object stands on, base frame.
     """
 
     index: int

@@ -1,6 +1,6 @@
 """Basis point sets: a cloud encoded as its distances from fixed points.
 
-Method: Prokudin et al., ICCV 2019 (PAPERS section 2).
+Method: Prokudin et al., ICCV 2019 (docs/papers.md, "Basis point set").
 """
 
 from __future__ import annotations

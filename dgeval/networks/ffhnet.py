@@ -1,6 +1,6 @@
 """FFHNet (Mayer et al., ICRA 2022): five-finger grasps from one cloud.
 
-Layers have the authors' names (PAPERS section 1).
+Layers have the authors' names (docs/papers.md, "FFHNet").
 
 Inputs, all float32:
 - bps (n, basis points): distances in m from the basis points to a cloud (m) whose mean was
@@ -28,7 +28,7 @@ from torch.nn import functional
 from dgeval.geometry import Array
 from dgeval.networks.checkpoints import load_strictly, metadata_of, read_weights
 
-# of the published networks (PAPERS section 1)
+# of the published networks (docs/papers.md, "FFHNet")
 N_JOINTS = 15
 LATENT = 5  # dimensions of the latent code
 SLOPE = 0.2  # of the leaky ReLU below zero

@@ -1,7 +1,7 @@
 """PointNet++'s operations on point sets, on the CPU: farthest points, ball query, crop of a cloud.
 
-Results equal those of the CUDA operations (PAPERS section 4.1), except for ties, which CUDA decides
-by its thread layout.
+Results equal those of the CUDA operations (docs/papers.md, "Point set operations"), except for
+ties, which CUDA decides by its thread layout.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Grasp evaluators of 6-DoF GraspNet's type: PointNet++ on points of the scene and of the gripper.
 
 A label per point tells scene from gripper. Layers have the names of the public PyTorch 6-DoF
-GraspNet (PAPERS section 4.1), whose checkpoints load. VFAS-Grasp's evaluator is the
+GraspNet (docs/papers.md, "Grasp evaluator"), whose checkpoints load. VFAS-Grasp's evaluator is the
 same network with other sizes and the opposite labels.
 """
 
@@ -21,7 +21,7 @@ from torch.nn import functional
 from dgeval.networks.checkpoints import load_strictly, metadata_of, read_weights
 from dgeval.networks.point_sets import farthest_points, gathered, neighbours_in_ball
 
-# m, corners of the box that the scene is cropped to, in the grasp frame (VFAS section III-B)
+# m, corners of the box that the scene is cropped to, in the grasp frame (docs/papers.md, "Grasp evaluator")
 CROP_LOW = np.array([-0.10, -0.05, -0.10])
 CROP_HIGH = np.array([0.10, 0.05, 0.03])
 
@@ -49,8 +49,8 @@ class Sizes:
     gripper: int = 6
 
 
-PUBLIC = Sizes()  # of the public weights (PAPERS section 4.1)
-# of the shipped evaluator; the VFAS paper does not give these numbers (PAPERS section 4.2)
+PUBLIC = Sizes()  # of the public weights (docs/papers.md, "Grasp evaluator")
+# of the shipped evaluator; the VFAS paper does not give these numbers (docs/papers.md, "Grasp evaluator")
 VFAS = Sizes(0.5, (64, 16), (24, 24), (0.025, 0.05), "vfas", "grasp", -1.0, 512, 64)
 
 

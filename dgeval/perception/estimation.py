@@ -1,6 +1,6 @@
 """The target's velocity from one feature point on it, by a Kalman filter.
 
-Paper III-B.3; PAPERS 7 and A8.
+See docs/papers.md, "Velocity filter" and docs/papers.md, "Feature point".
 """
 
 from __future__ import annotations

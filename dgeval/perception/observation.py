@@ -1,6 +1,6 @@
 """P_t: the target's pixels as points, without those far from the median depth.
 
-Paper III-A.2, PAPERS A13.
+See docs/papers.md, "Depth filter".
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Depth pixels of the robot's own hand, from its geometry at the recorded joints.
 
-DESIGN section 4.
+See docs/papers.md, "Tracking".
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The dynamic grasp metric and the order of candidates by it.
 
-Paper equations 3 to 5; PAPERS A1 and A2 say how they are read.
+See docs/papers.md, "Equations 3 to 5: choice of a grasp".
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from dgeval.config import ServoConfig
 from dgeval.geometry import Array, invert, rotation_angle, rotation_vector
 from dgeval.robots.hand import Hand
 
-FAST_DERIVATIVE_GAINS = (0.2, 0.5)  # c_d,v and c_d,w (PAPERS A11)
+FAST_DERIVATIVE_GAINS = (0.2, 0.5)  # c_d,v and c_d,w (docs/papers.md, "Derivative of equation 7")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def blend_rotation(distance: float, r_O: Array, r_G: Array, config: ServoConfig)
 class Servo:
     """Equation 7 with the error's derivative low-passed over derivative_tau s.
 
-    Read literally the equation diverges (PAPERS A11).
+    Read literally the equation diverges (docs/papers.md, "Derivative of equation 7").
     """
 
     def __init__(self, config: ServoConfig, hand: Hand) -> None:

@@ -53,7 +53,8 @@ def clean_stamps(
 def pair(colour_ns: Ints, depth_ns: Ints, tolerance_ns: int) -> list[tuple[int, int]]:
     """One-to-one pairs (colour index, depth index) of two rising stamp arrays, closest pairs first.
 
-    A depth image serves at most one colour image; what is farther than the tolerance stays unmatched.
+    A depth image serves at most one colour image; what is farther than the tolerance stays
+    unmatched.
     """
     if not len(colour_ns) or not len(depth_ns):
         return []

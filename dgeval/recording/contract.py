@@ -17,8 +17,8 @@ BELIEF_PREFIX: Final = "/dgeval/belief/"
 TRUTH_PREFIX: Final = "/truth/"
 """What a simulator knows for certain. Never an input of a verdict, never a label."""
 
-ROBOT_DESCRIPTION: Final = "robot_description"
-"""Last part of the name of a latched topic with the robot's URDF, std_msgs/String."""
+ROBOT_DESCRIPTION: Final = "/robot_description"
+"""Latched topic with the robot's URDF, std_msgs/String; in any namespace."""
 
 EVENTS_TOPIC: Final = "/dgeval/events"
 """std_msgs/String: one JSON object {"event": kind, ...} per message."""

@@ -39,7 +39,8 @@ def colour_from(pixels: Pixels) -> NDArray[np.uint8]:
 def depth_from(pixels: Pixels, scale: float | None) -> NDArray[np.float32]:
     """(H, W) float32 m, 0 where there is no reading (0, NaN, infinite, negative, 65535).
 
-    `scale` is metres per unit; None means the ROS convention, millimetres in integers and metres in floats.
+    `scale` is metres per unit; None means the ROS convention, millimetres in integers and metres in
+    floats.
     """
     if pixels.encoding not in DEPTH_ENCODINGS:
         raise ValueError(f"{pixels.encoding} is not a depth image")

@@ -145,7 +145,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
 
 
 def _description(scan: Scan, config: Config) -> Description | None:
-    text, source = scan.description, f"/{ROBOT_DESCRIPTION} of {scan.opened.path}"
+    text, source = scan.description, f"{ROBOT_DESCRIPTION} of {scan.opened.path}"
     if config.calibration.description is not None:
         source = config.calibration.description
         try:

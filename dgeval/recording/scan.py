@@ -133,7 +133,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 text = opened.decode(message).data
                 if message.topic == wanted_events:
                     out.events.append(event_of(text, message.log_ns))
-                elif message.topic.endswith(ROBOT_DESCRIPTION):
+                elif message.topic.endswith(ROBOT_DESCRIPTION[1:]):
                     out.description = text
             elif message.topic == SCORE_TOPIC:
                 out.scores.append((message.log_ns, float(opened.decode(message).data)))

@@ -108,7 +108,7 @@ def link_points(n: int, rng: np.random.Generator) -> Array:
     """Points (n, 3) m on an open gripper's links, grasp frame, uniform by area.
 
     They lie on the surfaces of the proximal and distal links. This is the gripper's cloud of
-    VFAS-Grasp (section III-B).
+    VFAS-Grasp (docs/papers.md, "Grasp evaluator").
     """
     boxes = [
         (np.array(half), np.array([side * (centre[0] + OPENING / 2), *centre[1:]]))

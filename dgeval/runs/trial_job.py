@@ -70,7 +70,8 @@ def replay_trial(
 
     sha256: of the recording where it is known already.
 
-    Known errors become messages with an exit code; so does an unknown one, whose traceback goes into the run's log.
+    Known errors become messages with an exit code; so does an unknown one, whose traceback goes
+    into the run's log.
     """
     limit_threads()
     try:

@@ -123,7 +123,7 @@ def write_recording(
     first: Array | None = None
     with open_writer(path) as writer:
         writer.write(
-            f"/{ROBOT_DESCRIPTION}",
+            ROBOT_DESCRIPTION,
             START_NS,
             text(robot_urdf(world.gripper.T_hand_camera, world.gripper)),
         )

@@ -1,7 +1,7 @@
 """Outcome and class of a simulated trial, proved by simulating it again.
 
-The hand closes at other times, the object is put back, and the palm is moved: SIMULATION section 5
-("the rule"). The decisions are `taxonomy.classify`'s; this module gathers the facts.
+The hand closes at other times, the object is put back, and the palm is moved (docs/simulation.md,
+"Truth rule"). The decisions are `failure_rule.classify`'s; this module gathers the facts.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ TUNE_SHARES = {
 # m, least and greatest retreat; hands nearer to a grasp are tried in physics
 RETREAT_M = (0.06, 0.2)
 # Hard negatives are held grasps moved by this on every axis, m and rad, signs random
-# (PAPERS section 1.5).
+# (docs/papers.md, "FFHNet training").
 HARD_M, HARD_RAD = 0.03, 0.6
 
 

@@ -27,8 +27,9 @@ from dgeval.training.loop import optimise
 from dgeval.training.ship import scores_of
 from dgeval.worlds.objects import procedural_object
 
-NOISE = 0.002  # m, standard deviation on each axis (VFAS section III-B)
-GRAZING_DROP = 0.7  # probability that a grazing point is dropped (VFAS section III-B)
+NOISE = 0.002  # m, standard deviation on each axis (docs/papers.md, "Grasp evaluator")
+# probability that a grazing point is dropped (docs/papers.md, "Grasp evaluator")
+GRAZING_DROP = 0.7
 FLOATING = 0.3  # share of examples without the points of their table, as in a handover (ours)
 # factors on the axes; the gripper looks the same in each of these mirror images
 MIRRORS = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]], dtype=np.float32)

@@ -209,7 +209,7 @@ def revolve(profile: list[tuple[float, float]], n: int) -> tuple[Array, NDArray[
 def ten_objects() -> dict[str, ObjectModel]:
     """The ten objects of the dynamic-grasping paper (Table III) by size and mass.
 
-    SIMULATION section 7 lists them. Looks are ours.
+    docs/simulation.md, "Objects", lists them. Looks are ours.
     """
     bottle = [
         (0.047, 0.029, 0.0),

@@ -162,7 +162,7 @@ def _add_flying_base(spec: mujoco.MjSpec) -> mujoco.MjsBody:
 
 
 def _weld_to_handle(spec: mujoco.MjSpec) -> None:
-    """A soft weld draws the hand after its handle (SIMULATION section 1)."""
+    """A soft weld draws the hand after its handle (docs/simulation.md, "Five-finger hand")."""
     weld = spec.add_equality(
         type=mujoco.mjtEq.mjEQ_WELD,
         name1="handle",

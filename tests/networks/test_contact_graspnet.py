@@ -70,7 +70,7 @@ def farthest(points: np.ndarray, n: int) -> np.ndarray:
 
 
 def reference_outputs(state: dict[str, np.ndarray], points: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Points and outputs of the four heads, computed as in PAPERS section 6."""
+    """Points and outputs of the four heads, computed as in docs/papers.md, "Contact-GraspNet"."""
     xyz, features = points, np.zeros((len(points), 0))
     levels = []
     for s, count in enumerate(CENTRES):

@@ -1,6 +1,6 @@
 """Catches, by stage: a sign, unit, frame or bound that differs from the papers.
 
-PAPERS.md section 11.
+The values are those of docs/papers.md, "Table V: parameters".
 """
 
 from __future__ import annotations
@@ -253,7 +253,8 @@ def test_gate_bounds_are_the_papers() -> None:
 
 def test_gate_fitness_sees_the_shift_that_plain_fitness_does_not() -> None:
     """Catches a gate that counts within the search radius: on a box a shift of 10 mm has a share of
-    1.00 within 20 mm (PAPERS A4), but under 0.5 within the gate's 5 mm.
+    1.00 within 20 mm (docs/papers.md, "ICP direction and fitness"), but under 0.5 within the gate's
+    5 mm.
     """
     rng = np.random.default_rng(5)
     points, normals = box_cloud(rng, 3000)
@@ -320,7 +321,7 @@ def test_observations_are_put_into_the_model_frame() -> None:
 def test_velocity_filter_reproduces_the_measured_table(
     sigma_a: float, rmse_mm: float, to_90: float, drift_mm: float
 ) -> None:
-    """Catches a filter whose error, rise time or drift differs by over 20 % from PAPERS section 7.
+    """Catches a filter whose error, rise time or drift differs by over 20 % from docs/papers.md, "Velocity filter".
 
     30 Hz, 4 mm noise, 0.2 m/s from t = 1 s on.
     """

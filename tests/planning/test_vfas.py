@@ -110,7 +110,7 @@ def test_crop_is_in_the_grasp_frame() -> None:
 def reference(
     network: GraspEvaluator, scene: np.ndarray, gripper: np.ndarray
 ) -> tuple[float, float]:
-    """Logit and confidence of one grasp in plain numpy, from PAPERS 4.1.
+    """Logit and confidence of one grasp in plain numpy, from docs/papers.md, "Grasp evaluator".
 
     Relative coordinates are formed, no layer is factored, and no norm is folded into a layer.
     """
@@ -312,7 +312,7 @@ def test_leading_eight_alone_are_tried_with_noise() -> None:
 
 
 def test_region_grows_by_30_percent_up_to_three_and_falls_back() -> None:
-    """Catches another growth than PAPERS B3: 1, 1.3, 1.69, 2.197, 2.856, 3, and N in proportion."""
+    """Catches another growth than the paper's: 1, 1.3, 1.69, 2.197, 2.856, 3, and N in proportion."""
     good = [False]
     relative: list[np.ndarray] = []
     config = VfasConfig(k1=0.0, k2=0.0, low_pass=False)

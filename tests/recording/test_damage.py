@@ -1,7 +1,8 @@
 """A slice of the damage campaign (soak/damage_campaign.py), small enough for every run.
 
-Catches a reader that gives wrong or fewer messages in silence, lets a foreign exception out, or loses the file's name;
-and a command line that ends in a traceback or an internal error over contents that are wrong.
+Catches a reader that gives wrong or fewer messages in silence, lets a foreign exception out, or
+loses the file's name; and a command line that ends in a traceback or an internal error over
+contents that are wrong.
 """
 
 from __future__ import annotations

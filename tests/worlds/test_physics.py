@@ -1,7 +1,8 @@
 """Physics against closed forms, the published tables of hand and arm, and pinocchio.
 
-They are those of SIMULATION sections 1, 2, 4 and 7. Catches a sign, an axis, a unit, an order of
-rotations or a missing attribute in the MuJoCo models and in the URDF made of the same tables.
+The tables are those of docs/simulation.md, "Five-finger hand" and "Arm". Catches a sign, an axis, a
+unit, an order of rotations or a missing attribute in the MuJoCo models and in the URDF made of the
+same tables.
 """
 
 from __future__ import annotations

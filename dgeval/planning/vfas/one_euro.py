@@ -52,7 +52,8 @@ class PoseFilter:
     """1€ filter of a pose: position by axis, rotation by slerp with a cutoff from the angular
     speed.
 
-    Ours: the paper says "a simple low pass filter" of the pose and gives no parameters (PAPERS 7).
+    Ours: the paper says "a simple low pass filter" of the pose and gives no parameters
+    (docs/papers.md, "Low pass").
     """
 
     def __init__(self, config: OneEuroConfig) -> None:

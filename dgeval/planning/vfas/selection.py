@@ -77,7 +77,10 @@ class Scores:
 
 
 def gripper_points(n: int, rng: np.random.Generator) -> Array:
-    """Points (n, 3) m on the links of VFAS-Grasp's open gripper, grasp frame (section III-B)."""
+    """Points (n, 3) m on the links of VFAS-Grasp's open gripper, grasp frame.
+
+    See docs/papers.md, "Grasp evaluator".
+    """
     points = hand_for("vfas").link_points
     assert points is not None
     return points(n, rng)

@@ -1,8 +1,8 @@
 """MCAP of any profile, with every checksum on.
 
-Two ways through the file. With an intact summary the chunks are taken in the order of their start times and merged, so
-that memory holds the chunks that overlap and no more. Without one the file is read from the front until it ends or
-breaks.
+Two ways through the file. With an intact summary the chunks are taken in the order of their start
+times and merged, so that memory holds the chunks that overlap and no more. Without one the file is
+read from the front until it ends or breaks.
 """
 
 from __future__ import annotations
