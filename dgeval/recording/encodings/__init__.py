@@ -1,7 +1,7 @@
-"""How a message's bytes become an object: one file per encoding, found by the name the container gives.
+"""Decoders of message bytes: one file per encoding, chosen by the encoding's name in the container.
 
-A new encoding is one file with `decoder(type_name, schema) -> (bytes -> object)` and one line here. Every decoder gives
-objects with ROS 2 field names, so that nothing above needs to know where a message came from.
+A new encoding is one file with `decoder(type_name, schema) -> (bytes -> object)` and one line here.
+Every decoder gives objects with ROS 2 field names, so that the code above is the same for all.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""How an image message's bytes become pixels: one file per kind, tried in order.
+"""Decoders of image messages: one file per kind, tried in order.
 
-A new kind is one file with `accepts(message) -> bool` and `decode(message) -> Pixels`, and one line here.
+A new kind is one file with `accepts(message) -> bool` and `decode(message) -> Pixels`, and one line
+here.
 """
 
 from __future__ import annotations
