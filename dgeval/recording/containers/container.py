@@ -94,7 +94,7 @@ class Opened:
                 self.damage.append(Damage(what, Place(str(self.path), name), last_ns))
 
     def decode(self, message: RawMessage) -> Any:
-        """The message as an object with its type's fields; UndecodableError names topic and time."""
+        """A message as an object with its type's fields. UndecodableError names topic and time."""
         try:
             return self.topics[message.topic].decode(message.data)
         except UndecodableError:
