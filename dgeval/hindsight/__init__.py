@@ -1,1 +1,1 @@
-"""The second pass over a log, with the future allowed: path, surface, moments."""
+"""The second pass over a log, which may use later frames: path, surface, moments."""

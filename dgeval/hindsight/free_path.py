@@ -1,4 +1,4 @@
-"""The undisturbed path of the object, and when it left it."""
+"""The object's undisturbed path, and the time at which it left that path."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from dgeval.hindsight.smoothing import Path, Sighting, smooth
 from dgeval.perception.types import Model
 from dgeval.recording.robot import RobotStates
 
-FIRST_S = 0.5  # from which the path is begun
-
-# sightings in a row this far off the path so far
-OFF_PATH_M, OFF_PATH_RAD, OFF_PATH_COUNT = 0.006, 0.12, 3
-
-PUSHING_M = 0.030  # m; hand to the sighted object, when it leaves its path
+FIRST_S = 0.5  # s; sightings from the first on that start the path
+# The object has left its path when OFF_PATH_COUNT sightings in a row lie off the path so far by
+# more than one of these, beyond twice the path's own standard deviation.
+OFF_PATH_M = 0.006  # m
+OFF_PATH_RAD = 0.12  # rad
+OFF_PATH_COUNT = 3
+PUSHING_M = 0.030  # m; from the hand to an object that leaves its path, for the hand to push it
 
 
 def free_path(
@@ -25,24 +26,25 @@ def free_path(
     centroid: Array,
     end_ns: int,
 ) -> tuple[Path, int | None]:
-    """The undisturbed path, and when the object left it with the hand at it (the change point), or None.
+    """The undisturbed path, and when the hand pushed the object off it, ns, or None.
 
-    Sightings are taken in one after the other. Where several in a row lie off the path so far, it was a push if the hand
-    is at the object then, else its own motion, which the path follows.
+    Sightings are taken in time order. Several in a row that lie off the path so far are a push if
+    the hand is near the object in one of them; else the object moved by itself, and the path
+    follows it. centroid: of the model, (3,) m, model frame. end_ns: sightings after it don't count.
     """
     before = [s for s in sightings if s.t_ns <= end_ns] or sightings[:1]
     first = max(2, sum((s.t_ns - before[0].t_ns) * 1e-9 < FIRST_S for s in before))
     used, off = before[:first], list[Sighting]()
     path = smooth(used, centroid)
     for s in before[first:]:
-        there = path.at(s.t_ns)
-        apart = float(
+        predicted = path.at(s.t_ns)
+        distance = float(
             np.linalg.norm(
-                transform(s.T_base_model, centroid[None]) - transform(there, centroid[None])
+                transform(s.T_base_model, centroid[None]) - transform(predicted, centroid[None])
             )
         )
-        turned = rotation_angle(s.T_base_model[:3, :3].T @ there[:3, :3])
-        if apart < OFF_PATH_M + 2 * path.sd_at(s.t_ns) and turned < OFF_PATH_RAD + min(
+        angle = rotation_angle(s.T_base_model[:3, :3].T @ predicted[:3, :3])
+        if distance < OFF_PATH_M + 2 * path.sd_at(s.t_ns) and angle < OFF_PATH_RAD + min(
             2 * path.sd_angle, 0.05
         ):
             used, off = [*used, *off, s], []

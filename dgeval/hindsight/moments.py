@@ -1,4 +1,4 @@
-"""Where the object was in every frame round the close, and how near the hand was to it."""
+"""Where the object was in each frame around the close, and how near the hand was to it."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from dgeval.recording.robot import RobotStates
 
 KnownBy = Literal["path", "registration", "depth", "colour", "hand", "support"]
 
-WINDOW_BEFORE_S, WINDOW_AFTER_S = 4.0, 4.0  # around the close, where frames are looked at again
-
-# the palm off its place at the close; the object off its place in the palm
-RISEN_M, HELD_M = 0.05, 0.015
+WINDOW_BEFORE_S, WINDOW_AFTER_S = 4.0, 4.0  # s, around the close; frames that are searched again
+RISEN_M = 0.05  # m; from the palm's position at the close, for the palm to have moved on
+HELD_M = 0.015  # m; from the object's typical position in the palm, for it to be in the hand
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Where hindsight has the object in a frame: T_base_model, and how it knows; the nearest link of the hand.
+    """Where hindsight places the object in a frame, and the hand's nearest link then.
 
-    by: `path` (undisturbed), a sighting's word, `hand` (moves with the hand), `support` (pushed, moves on with what it
-    stands on). sd m of the position, None but on the path. distance: signed, m, None without hand geometry.
+    by: what the pose comes from: `path` (undisturbed), `registration`, `depth` or `colour` (a
+    sighting), `hand` (it moves with the hand), `support` (pushed; it moves on with what it stands
+    on). sd: of the position, m; None off the path. distance: from the link, signed, m; None without
+    hand geometry.
     """
 
     index: int
@@ -40,7 +41,10 @@ class Moment:
 
 
 def hand_distance(robot: RobotStates, t_ns: int, points_base: Array) -> tuple[float, str] | None:
-    """Least signed distance m of the recorded hand to points (n, 3), base frame, and the link; None without hand geometry."""
+    """Least signed distance, m, of the hand to points (n, 3), base frame, and the link.
+
+    None without hand geometry.
+    """
     near = nearest_link(robot, t_ns, points_base, None)
     return None if near is None else (near[1], near[0])
 
@@ -48,7 +52,11 @@ def hand_distance(robot: RobotStates, t_ns: int, points_base: Array) -> tuple[fl
 def nearest_link(
     robot: RobotStates, t_ns: int, points_base: Array, link: str | None
 ) -> tuple[str, float, Array, Array] | None:
-    """Nearest link (or how near the named one is): name, signed distance m, its middle, nearest point (base frame)."""
+    """The link nearest to the points (n, 3), or the named one.
+
+    Gives its name, its signed distance, m, its middle and the nearest point, base frame. None
+    without hand geometry, or with every link farther than 0.4 m from the points' middle.
+    """
     shapes = robot.hand_shapes(t_ns)
     T_base_camera = robot.T_base_camera(t_ns)
     if shapes is None or T_base_camera is None:
@@ -82,11 +90,11 @@ def moments_of(
     pushed_ns: int | None,
     end_ns: int,
 ) -> tuple[Moment, ...]:
-    """The object in every frame from some seconds before the close on, and the hand's nearest link.
+    """The object in every frame from WINDOW_BEFORE_S before the close on, and the nearest link.
 
-    Up to the push, or the close, it is on its path. Afterwards it is where it is seen; between
-    sightings it moves with the hand if it was seen to, else, up to the close, with what it stands
-    on.
+    Up to the push, or the close, the object is on its path. Afterwards it is where a sighting has
+    it. Between sightings it moves with the hand, if sightings show that it did; else, up to the
+    close, with what it stands on.
     """
     step = max(1, len(model.points) // 400)
     left_ns = end_ns if pushed_ns is None else min(pushed_ns, end_ns)
@@ -111,7 +119,7 @@ def moments_of(
             T, by = last[1].copy(), "support"
             T[:3, 3] += path.velocity[-1] * (s.t_ns - last[0]) * 1e-9
         else:
-            continue  # closing fingers may have taken it anywhere
+            continue  # closing fingers may have moved it anywhere
         near = hand_distance(robot, s.t_ns, transform(T, model.points[::step]))
         out.append(Moment(s.index, s.t_ns, T, by, sd, *(near or (None, None))))
     return tuple(out)
@@ -120,8 +128,11 @@ def moments_of(
 def _in_hand(
     robot: RobotStates, sightings: list[Sighting], end_ns: int
 ) -> tuple[int, Array] | None:
-    """From when on, and T_palm_model, if the object was seen to move with the palm while that rose; None else."""
-    then = robot.T_base_palm(end_ns)
+    """Since when, ns, and T_palm_model, if the object moved with the palm after the close.
+
+    None where fewer than three sightings with a risen palm, or sightings that disagree, show it.
+    """
+    at_close = robot.T_base_palm(end_ns)
     after = [
         (s, palm)
         for s in sightings
@@ -130,7 +141,7 @@ def _in_hand(
     risen = [
         (s, palm)
         for s, palm in after
-        if then is not None and np.linalg.norm(palm[:3, 3] - then[:3, 3]) > RISEN_M
+        if at_close is not None and np.linalg.norm(palm[:3, 3] - at_close[:3, 3]) > RISEN_M
     ]
     if len(risen) < 3:
         return None
@@ -144,10 +155,10 @@ def _in_hand(
     ]
     if float(np.median([np.linalg.norm(T[:3, 3] - typical[:3, 3]) for T in held])) > HELD_M:
         return None
-    # back to the first sighting after the close from which on it lay so in the hand
-    with_it = [
+    # the first sighting after the close with the object at its typical place in the hand
+    in_place = [
         s.t_ns
         for s, palm in after
         if np.linalg.norm((invert(palm) @ s.T_base_model)[:3, 3] - typical[:3, 3]) < HELD_M
     ]
-    return with_it[0], typical
+    return in_place[0], typical

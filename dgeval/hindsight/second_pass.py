@@ -1,10 +1,9 @@
-"""The second pass: the same log with the future allowed.
+"""The second pass over a log, which may use later frames for earlier ones.
 
-The final model is looked for again in every frame in which the causal pass did not find it, from
-where the smoothed path says it must be: through the blind gap in colour, after the close, and after
-the lift. What the causal pass accepted and what this finds is smoothed in one piece up to the first
-contact; beyond it the object's free path is extrapolated, and sightings say what it really did.
-Nothing here reads the truth or the robot's beliefs.
+The final model is searched for in every frame around the close in which the causal pass did not
+have it, starting from where the smoothed path predicts it. The sightings of both passes are
+smoothed together up to the first contact. After that the object's free path is extrapolated, and
+sightings say what it really did. Nothing here reads the truth or the robot's beliefs.
 """
 
 from __future__ import annotations
@@ -33,24 +32,25 @@ from dgeval.recording.robot import RobotStates
 from dgeval.recording.trials import Trial
 
 GapSided = Literal["none", "one", "two"]
-CONTACT_M = 0.006  # m; a hand this near may be pushing: measured clouds are not more exact
-NO_GAP_S = 0.1
-MIN_COLOUR = 12  # features
-# a sighting is a prior for so long, where it is so far from the others
-CARRIED_S, APART_M = 1.0, 0.01
-MOST_MISSED = 45  # frames kept to be gone through backwards
-BACKWARD_NS = 250_000_000  # from one frame to the one before it, in going backwards
+CONTACT_M = 0.006  # m; a hand this near may touch: measured clouds are not more exact
+NO_GAP_S = 0.1  # s; from the last sighting to the close, up to which there is no blind gap
+MIN_COLOUR = 12  # features that a sighting by colour needs
+CARRIED_S = 1.0  # s; a sighting is a prior for frames up to this far away in time
+APART_M = 0.01  # m; a prior nearer than this to another one is left out
+MOST_MISSED = 45  # frames kept for the search backwards
+BACKWARD_NS = 250_000_000  # ns; longest step from a frame to the one before it, going backwards
 
 
 @dataclass(frozen=True)
 class Hindsight:
     """What the whole log says about the object.
 
-    contact_ns: first time before the close at which the hand was within CONTACT_M of it on its free
-    path, and the link. pushed_ns: when it was seen to leave that path with the hand at it.
+    points: of the final model, (n, 3) m, model frame. support: the plane it stands on, base frame.
+    contact_ns, contact_link: when, up to the close, the hand was first within CONTACT_M of the
+    object, and which link. pushed_ns: when sightings left the free path with the hand near.
     n_registered: sightings by an accepted registration up to the close. gap_s: from the last
-    sighting to the close; None without a close. moments: frame by frame from WINDOW_BEFORE_S before
-    the close on; empty without an attempt.
+    sighting to the close; None without a close. moments: by frame, from WINDOW_BEFORE_S before the
+    close on; empty without a grasp attempt.
     """
 
     path: Path
@@ -70,7 +70,11 @@ class Hindsight:
 def look_back(
     trial: Trial, seen: list[Seen], surface: Surface, perception: Perception, config: Config
 ) -> Hindsight | None:
-    """Second pass over one trial. None where the causal pass never had a model and a pose to start from."""
+    """The second pass over one trial.
+
+    seen: the frames of the causal pass; surface: what it ever accepted of the object. None where it
+    had neither a model nor an accepted pose to start from.
+    """
     model = surface.model()
     accepted = [s for s in seen if s.T_camera_model is not None]
     if model is None or not accepted:
@@ -85,7 +89,7 @@ def look_back(
         perception.tracker if isinstance(perception.tracker, ModelTracker) else ModelTracker(config)
     )
     known = {s.t_ns for s in sightings}
-    # without a grasp in the log nobody asks for what a second look would add
+    # only a trial with a close or a grasp in the log has a verdict that needs more sightings
     attempt = trial.event_ns(CLOSE_EVENT) is not None or bool(trial.scan.poses.get(GRASP_TOPIC))
     wanted = {
         s.index: s
@@ -100,7 +104,7 @@ def look_back(
             continue
         here: Frame | None = frame
         while here is not None:
-            # found again, it is followed backwards through the frames before, until one where it is not
+            # once it has a sighting again, the frames before are searched backwards up to a miss
             priors = _priors(here.t_ns, path, sightings, trial.robot, end_ns)
             sighting = _look(
                 here,
@@ -150,7 +154,7 @@ def look_back(
 
 
 def _causal(seen: list[Seen], min_points: int) -> list[Sighting]:
-    """What the first pass saw, the best word on each frame."""
+    """Sightings of the causal pass: by registration, else by depth, else by colour."""
     out = []
     for s in seen:
         if s.T_camera_model is not None:
@@ -163,7 +167,7 @@ def _causal(seen: list[Seen], min_points: int) -> list[Sighting]:
 
 
 def _support(seen: list[Seen]) -> Plane | None:
-    """The surface the object stands on, base frame: the median of what the frames say."""
+    """The plane the object stands on, base frame: the median over the frames; None if unknown."""
     planes = [s.support for s in seen if s.support is not None]
     if not planes:
         return None
@@ -178,8 +182,11 @@ def _support(seen: list[Seen]) -> Plane | None:
 def _priors(
     t_ns: int, path: Path, sightings: list[Sighting], robot: RobotStates, end_ns: int
 ) -> list[Array]:
-    """Where the model may be at a time, T_base_model: on its path; in the hand, after the close; where it was seen last
-    (forward) or will be seen next (backward), as after a push, moved with what it stands on."""
+    """Where the model may be at a time, as T_base_model, to start the search from.
+
+    On its path; in the hand, after the close; and where the sightings before and after have it,
+    moved with what it stands on, as after a push.
+    """
     out = [path.at(t_ns)]
     palm, palm_then = robot.T_base_palm(t_ns), robot.T_base_palm(end_ns)
     if t_ns > end_ns and palm is not None and palm_then is not None:
@@ -205,7 +212,10 @@ def _look(
     observation: ObservationConfig,
     registration: RegistrationConfig,
 ) -> Sighting | None:
-    """The model in one frame, from each place it may be at; depth needs the gate's fitness, colour enough features."""
+    """Search for the model in one frame from each prior; None where none leads to it.
+
+    By depth it needs a registration that passes the gate, by colour MIN_COLOUR features.
+    """
     T_camera_base = invert(seen.T_base_camera)
     for prior in priors:
         tracked = tracker.look(frame, model, T_camera_base @ prior)
@@ -241,7 +251,10 @@ def _look(
 
 
 def blind_gap(sighted_ns: list[int], close_ns: int | None) -> tuple[float | None, GapSided]:
-    """Seconds from the last sighting to the close, and whether sightings follow; none of up to NO_GAP_S."""
+    """Seconds from the last sighting to the close, and whether sightings follow.
+
+    The gap is `none` up to NO_GAP_S, `one`-sided without later sightings, else `two`-sided.
+    """
     if close_ns is None:
         return None, "none"
     before = [t for t in sighted_ns if t <= close_ns]

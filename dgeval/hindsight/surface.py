@@ -1,4 +1,4 @@
-"""What the causal pass hands on: its sightings, and the surface that was ever seen."""
+"""What the causal pass hands to the second: its frames, and all surface it ever accepted."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from dgeval.perception.plane import Plane
 from dgeval.perception.types import Model
 from dgeval.replay.causal import Step
 
-CELL = 0.003  # m; of the surface that is kept
+CELL = 0.003  # m; edge of a voxel, of which the kept surface has one point each
 
 
 class Surface:
-    """All that was ever fused, thinned by cells instead of at random, so that what was seen early is not forgotten.
+    """The mean point and normal of every voxel of the model that was ever accepted, model frame.
 
-    The paper's model keeps a random subset: after some tens of near frames it holds little but the last view.
+    The paper's model keeps a random subset of points: after some tens of near frames it holds
+    little but the last view. Voxels keep early views as well.
     """
 
     def __init__(self) -> None:
         self._cells = np.zeros(0, dtype=np.int64)
-        self._sums = np.zeros((0, 7))  # position, normal, count
+        self._sums = np.zeros((0, 7))  # by voxel: sums of position and normal, count
 
     def add(self, model: Model) -> None:
-        """Merge a model cloud; call with accepted frames only."""
+        """Add the model cloud of an accepted frame."""
         at = np.floor(model.points / CELL).astype(np.int64) + 2**20
         cells, inverse = np.unique(
             (at[:, 0] << 42) | (at[:, 1] << 21) | at[:, 2], return_inverse=True
@@ -39,7 +40,7 @@ class Surface:
         self._cells, self._sums = both, merged
 
     def model(self) -> Model | None:
-        """Points and unit normals of the cells; None where nothing was added."""
+        """Points and unit normals of the voxels; None where nothing was added."""
         if not len(self._cells):
             return None
         points = self._sums[:, :3] / self._sums[:, 6:]
@@ -53,8 +54,9 @@ class Surface:
 class Seen:
     """One frame of the causal pass.
 
-    T_camera_model: the accepted one, or None; T_tracked: the tracker's own word where it had the
-    target, by depth or by `n_features` in colour. support: what the object stands on, base frame.
+    T_camera_model: by an accepted registration, or None. T_tracked: by the tracker where it had the
+    target, from n_depth depth pixels or n_features colour features; else None. support: the plane
+    the object stands on, base frame, or None.
     """
 
     index: int
@@ -68,7 +70,7 @@ class Seen:
 
 
 def seen_of(step: Step) -> Seen | None:
-    """What the second pass needs of a frame of the first; None where the camera's pose is not known."""
+    """What the second pass needs of a causal frame; None where the camera's pose is not known."""
     if step.T_base_camera is None:
         return None
     plane = step.tracked.plane

@@ -1,1 +1,1 @@
-"""From a file or folder to frames: containers, messages, images, roles, transforms, pairing, trials."""
+"""From recordings to frames: containers, messages, images, roles, transforms, pairing, trials."""

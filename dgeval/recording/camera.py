@@ -31,7 +31,7 @@ class Camera:
 def camera_of(
     scan: Scan, colour_topic: str, info_topic: str | None, config: CalibrationConfig
 ) -> Camera:
-    """Configured intrinsics, else the recorded ones. UsageError without either, or for a bad mask."""
+    """Configured intrinsics, else recorded ones. UsageError without either, or for a bad mask."""
     intrinsics, notes = _intrinsics(scan, colour_topic, info_topic, config)
     return Camera(intrinsics, config.depth_scale, _static_mask(config, intrinsics), tuple(notes))
 

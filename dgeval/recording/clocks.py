@@ -1,4 +1,4 @@
-"""Pairing colour and depth by header stamp, and the rules for stamps that are wrong."""
+"""Pairs colour and depth by header stamp, and rules for stamps that are wrong."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class StampFaults:
-    """Counts over one image topic. Zero: the log time stands in. Backward, duplicate: the message is not used.
+    """Counts of wrong stamps over one image topic.
 
-    Jump (forward by more than `sync.jump_s`): the message is used.
+    zero: the log time is used instead. backward, duplicate: the message is not used. jump: forward
+    by more than `sync.jump_s`; the message is used.
     """
 
     zero: int
@@ -32,7 +33,7 @@ class StampFaults:
 def clean_stamps(
     header_ns: Ints, log_ns: Ints, offset_ns: int, jump_ns: int
 ) -> tuple[Ints, Ints, StampFaults]:
-    """Usable stamps, strictly rising, their ordinals in the topic, and what was wrong with the others."""
+    """Usable stamps, ns, strictly rising; their ordinals in the topic; counts of wrong stamps."""
     zero = header_ns == 0
     stamps = np.where(zero, log_ns, header_ns) + offset_ns
     keep: list[int] = []
@@ -51,10 +52,9 @@ def clean_stamps(
 
 
 def pair(colour_ns: Ints, depth_ns: Ints, tolerance_ns: int) -> list[tuple[int, int]]:
-    """One-to-one pairs (colour index, depth index) of two rising stamp arrays, closest pairs first.
+    """One-to-one pairs (colour index, depth index) of two rising arrays of stamps, in time order.
 
-    A depth image serves at most one colour image; what is farther than the tolerance stays
-    unmatched.
+    The closest pairs are made first. Images farther apart than the tolerance stay unmatched.
     """
     if not len(colour_ns) or not len(depth_ns):
         return []
@@ -78,7 +78,10 @@ def pair(colour_ns: Ints, depth_ns: Ints, tolerance_ns: int) -> list[tuple[int, 
 
 
 def tolerance_ns(colour_ns: Ints, config: SyncConfig) -> int:
-    """The configured tolerance, or half the median colour period where none is given (at most 50 ms)."""
+    """Tolerance, ns: configured, else half the median colour period, at most 50 ms.
+
+    With fewer than two colour images it is 20 ms.
+    """
     if config.tolerance_s is not None:
         return round(config.tolerance_s * 1e9)
     if len(colour_ns) < 2:

@@ -1,4 +1,4 @@
-"""One paired frame as the stages see it."""
+"""One paired frame: what the stages get to work on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dgeval.robots.description import LinkShape
 
 @dataclass(frozen=True, slots=True)
 class RecordedGrasp:
-    """The robot's own belief at a time: its chosen grasp T_base_palm (4, 4), score of the hand pose or None."""
+    """The grasp that the robot had chosen: T_base_palm (4, 4), and its score of the hand pose."""
 
     T_base_palm: Array
     score: float | None
@@ -21,10 +21,12 @@ class RecordedGrasp:
 
 @dataclass(frozen=True)
 class Frame:
-    """Colour (H, W, 3) uint8 RGB and depth (H, W) float32 m aligned to it, 0 = none, with the robot at that time.
+    """Colour and depth at a time, with the state of the robot.
 
-    `hand` are the hand's solids with T_camera_shape; None where hand geometry is not known. `colour_file` is the image as
-    recorded where it was compressed, for the review recording.
+    colour: (H, W, 3) uint8 RGB. depth: (H, W) float32, m, aligned to colour, 0 = no reading. hand:
+    its solids with T_camera_shape; None where the hand's geometry is not known. grasp: the newest
+    one in the log, or None. colour_file: the image's bytes as recorded where it was compressed, for
+    the review recording.
     """
 
     index: int

@@ -1,4 +1,4 @@
-"""Image messages to what the stages see: colour as RGB, depth in metres."""
+"""From image messages to the arrays that the stages use: colour as RGB, depth in metres."""
 
 from __future__ import annotations
 
@@ -11,15 +11,20 @@ from numpy.typing import NDArray
 from dgeval.recording.image_codecs import codecs
 from dgeval.recording.image_codecs.pixels import Pixels
 
+# conversion of each encoding that is colour but not RGB
 TO_RGB = {
-    "bgr8": cv2.COLOR_BGR2RGB, "8UC3": cv2.COLOR_BGR2RGB, "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB,
-    "mono8": cv2.COLOR_GRAY2RGB, "8UC1": cv2.COLOR_GRAY2RGB,
-}  # fmt: skip
+    "bgr8": cv2.COLOR_BGR2RGB,
+    "8UC3": cv2.COLOR_BGR2RGB,
+    "rgba8": cv2.COLOR_RGBA2RGB,
+    "bgra8": cv2.COLOR_BGRA2RGB,
+    "mono8": cv2.COLOR_GRAY2RGB,
+    "8UC1": cv2.COLOR_GRAY2RGB,
+}
 DEPTH_ENCODINGS = frozenset({"16UC1", "mono16", "Z16", "32FC1"})
 
 
 def decode_image(message: Any) -> Pixels:
-    """Pixels of any supported image message; ValueError names what is wrong."""
+    """Pixels of an image message of any supported kind; ValueError says what is wrong."""
     for codec in codecs():
         if codec.accepts(message):
             pixels: Pixels = codec.decode(message)
@@ -39,8 +44,7 @@ def colour_from(pixels: Pixels) -> NDArray[np.uint8]:
 def depth_from(pixels: Pixels, scale: float | None) -> NDArray[np.float32]:
     """(H, W) float32 m, 0 where there is no reading (0, NaN, infinite, negative, 65535).
 
-    `scale` is metres per unit; None means the ROS convention, millimetres in integers and metres in
-    floats.
+    scale: m per unit; None is the ROS convention, millimetres in integers and metres in floats.
     """
     if pixels.encoding not in DEPTH_ENCODINGS:
         raise ValueError(f"{pixels.encoding} is not a depth image")

@@ -1,4 +1,4 @@
-"""What a recording holds, what is wrong with it, and which questions it can answer."""
+"""The summary of a recording: contents, faults, and which questions it can answer."""
 
 from __future__ import annotations
 
@@ -19,14 +19,17 @@ from dgeval.recording.scan import Scan, scan
 
 
 def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
-    """A JSON-like summary: file, damage, topics, roles, timing, robot, trials, answers. UnreadableError, UsageError."""
+    """A summary for JSON: file, damage, topics, roles, timing, events, notes, answers.
+
+    UnreadableError, UsageError.
+    """
     opened = open_container(path)
-    found = scan(opened, config.roles.events)
-    roles = find_roles(found, config.roles)
+    scanned = scan(opened, config.roles.events)
+    roles = find_roles(scanned, config.roles)
     robot: RobotStates | None = None
     robot_error = None
     try:
-        robot = robot_states(found, roles, config)
+        robot = robot_states(scanned, roles, config)
     except DgevalError as error:
         robot_error = str(error)
     files = [path] if path.is_file() else [p for p in path.iterdir() if p.is_file()]
@@ -37,20 +40,20 @@ def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
         "sha256": sha256_of(path),
         "checksums": opened.container.checksums,
         "damage": [str(d) for d in opened.damage],
-        "topics": [_topic(found, name) for name in sorted(opened.topics)],
-        "roles": _roles(found, roles, robot),
-        "timing": _timing(found, roles, config),
-        "events": [{"t_ns": e.t_ns, "event": e.kind, **e.fields} for e in found.events],
+        "topics": [_topic(scanned, name) for name in sorted(opened.topics)],
+        "roles": _roles(scanned, roles, robot),
+        "timing": _timing(scanned, roles, config),
+        "events": [{"t_ns": e.t_ns, "event": e.kind, **e.fields} for e in scanned.events],
         "notes": [*(() if robot is None else robot.notes), *([robot_error] if robot_error else [])],
     }
-    out["answers"] = _answers(out, found, roles, robot)
+    out["answers"] = _answers(out, scanned, roles, robot)
     return out
 
 
-def _topic(found: Scan, name: str) -> dict[str, Any]:
-    topic = found.opened.topics[name]
+def _topic(scanned: Scan, name: str) -> dict[str, Any]:
+    topic = scanned.opened.topics[name]
     header, log = (
-        found.times[name].arrays() if name in found.times else (np.zeros(0, np.int64),) * 2
+        scanned.times[name].arrays() if name in scanned.times else (np.zeros(0, np.int64),) * 2
     )
     out: dict[str, Any] = {"name": name, "type": topic.type, "count": len(log)}
     if len(log) > 1:
@@ -60,8 +63,9 @@ def _topic(found: Scan, name: str) -> dict[str, Any]:
             rate_hz=round((len(log) - 1) / span, 3) if span > 0 else None,
             largest_gap_s=round(float(gaps.max()), 4),
         )
-        if len(found.times[name].header_ns) == len(log):
-            # recorder time less header time, straight line through it: offset, drift, and what is left as jitter
+        if len(scanned.times[name].header_ns) == len(log):
+            # recorder time less header time, s: a straight line through it gives offset and drift,
+            # and what is left of it is jitter
             late = (log - header) * 1e-9
             x = (log - log[0]) * 1e-9
             slope, offset = np.polyfit(x, late - late[0], 1) if span > 0 else (0.0, 0.0)
@@ -70,19 +74,19 @@ def _topic(found: Scan, name: str) -> dict[str, Any]:
                 drift_ppm=round(float(slope) * 1e6, 1),
                 jitter_s=round(float(np.std(late - late[0] - offset - slope * x)), 6),
             )
-    head = found.images.get(name)
+    head = scanned.images.get(name)
     if head:
         out.update(
             image=f"{head.width}x{head.height} {head.encoding}",
             frame_id=head.frame_id,
             stated=head.format,
         )
-    if found.undecodable.get(name):
-        out["undecodable"] = found.undecodable[name]
+    if scanned.undecodable.get(name):
+        out["undecodable"] = scanned.undecodable[name]
     return out
 
 
-def _roles(found: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, Any]:
+def _roles(scanned: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, Any]:
     out: dict[str, Any] = {
         r: getattr(roles, r) for r in ("colour", "depth", "intrinsics", "hand_joints")
     }
@@ -96,19 +100,19 @@ def _roles(found: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, An
     out["description"] = (
         "recorded or configured" if robot is not None and robot.description else None
     )
-    out["events"] = "recorded" if found.events else None
-    out["belief"] = sorted(t for t in found.opened.topics if t.startswith(BELIEF_PREFIX)) or None
-    out["truth"] = sorted(t for t in found.opened.topics if t.startswith(TRUTH_PREFIX)) or None
+    out["events"] = "recorded" if scanned.events else None
+    out["belief"] = sorted(t for t in scanned.opened.topics if t.startswith(BELIEF_PREFIX)) or None
+    out["truth"] = sorted(t for t in scanned.opened.topics if t.startswith(TRUTH_PREFIX)) or None
     if roles.passed_over:
         out["passed_over"] = roles.passed_over
     return out
 
 
-def _timing(found: Scan, roles: Roles, config: Config) -> dict[str, Any]:
+def _timing(scanned: Scan, roles: Roles, config: Config) -> dict[str, Any]:
     if roles.colour is None or roles.depth is None:
         return {}
     out: dict[str, Any] = {}
-    pairing = pair_images(found, roles.colour, roles.depth, config)
+    pairing = pair_images(scanned, roles.colour, roles.depth, config)
     colour_ns, depth_ns, pairs = pairing.colour_ns, pairing.depth_ns, pairing.indices
     for role, stamps in (("colour", colour_ns), ("depth", depth_ns)):
         faults = pairing.faults[role]
@@ -131,15 +135,16 @@ def _timing(found: Scan, roles: Roles, config: Config) -> dict[str, Any]:
         if abs(float(np.median(skew))) > 0.002:
             proposed = -round(float(np.median(skew)) * 1e9)
             out["proposal"] = (
-                f"clock.depth.offset_ns = {proposed} would centre depth on colour; nothing is applied by itself"
+                f"clock.depth.offset_ns = {proposed} would centre depth on colour; "
+                "nothing is applied by itself"
             )
     return out
 
 
 def _answers(
-    out: dict[str, Any], found: Scan, roles: Roles, robot: RobotStates | None
+    out: dict[str, Any], scanned: Scan, roles: Roles, robot: RobotStates | None
 ) -> list[dict[str, Any]]:
-    """Each question with yes, or no and what is missing."""
+    """Each question, whether this recording can answer it, and what is missing."""
 
     def answer(question: str, missing: list[str]) -> dict[str, Any]:
         return {"question": question, "can": not missing, "missing": missing}
@@ -158,8 +163,8 @@ def _answers(
     pose = [] if robot is not None and robot.base_frame else ["camera_pose"]
     hand = [] if robot is not None and robot.palm_frame else ["hand_pose"]
     geometry = [] if robot is not None and robot.hand_links else ["hand_joints with a description"]
-    closed = [] if any(e.kind == CLOSE_EVENT for e in found.events) else ["a close event"]
-    label = [] if any(e.kind == LABEL_EVENT for e in found.events) else ["a label event"]
+    closed = [] if any(e.kind == CLOSE_EVENT for e in scanned.events) else ["a close event"]
+    label = [] if any(e.kind == LABEL_EVENT for e in scanned.events) else ["a label event"]
     belief = [] if out["roles"]["belief"] else ["belief topics"]
     return [
         answer("where is the target in the camera, frame by frame", images),

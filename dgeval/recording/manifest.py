@@ -1,4 +1,4 @@
-"""From paths and manifests to trials: which part of which recording, and what is known about it."""
+"""The trials that paths and manifests name: which part of which recording, and its metadata."""
 
 from __future__ import annotations
 
@@ -35,15 +35,18 @@ class _ManifestTrial(BaseModel):
 class _Manifest(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str = ""
-    simulate: dict[
-        str, Any
-    ] = {}  # how simulated recordings are made again; not needed to read them
+    # how simulated recordings are made again; not needed to read them
+    simulate: dict[str, Any] = {}
     trial: list[_ManifestTrial]
 
 
 @dataclass(frozen=True)
 class TrialSpec:
-    """One trial to replay: which part of which recording, and what is known about it. Times ns, box px."""
+    """One trial to replay: an entry of a manifest, or a recording's own trial. Times ns, box px.
+
+    frames: [first, last) of the paired frames. bbox: x0, y0, x1, y1 of the target, from
+    bbox_time_ns on. label: an operator's. sha256: of the recording, as the manifest says.
+    """
 
     id: str
     recording: Path
@@ -60,7 +63,10 @@ class TrialSpec:
 
 
 def find_trials(paths: list[Path], events_topic: str | None = None) -> list[TrialSpec]:
-    """Trials of recordings, folders of recordings and manifests, ids unique. UsageError, UnreadableError."""
+    """Trials of recordings, folders of recordings and manifests, with unique ids.
+
+    UsageError, UnreadableError.
+    """
     specs: list[TrialSpec] = []
     for path in paths:
         if path.suffix == ".toml":
@@ -99,7 +105,10 @@ def find_trials(paths: list[Path], events_topic: str | None = None) -> list[Tria
 
 
 def _is_recording(path: Path) -> bool:
-    """A recording file, or a ROS 2 folder with its metadata; without metadata its files stand for themselves."""
+    """Whether a path is a recording: a file by its suffix, or a ROS 2 folder with metadata.yaml.
+
+    In a folder without metadata each file is a recording of its own.
+    """
     if path.is_dir():
         return (path / "metadata.yaml").is_file() and any(
             p.suffix in (".mcap", ".db3") for p in path.iterdir()
@@ -108,7 +117,7 @@ def _is_recording(path: Path) -> bool:
 
 
 def _of_recording(path: Path, name: str, events_topic: str | None) -> list[TrialSpec]:
-    """One trial per trial_start event, else the whole recording."""
+    """One trial per trial_start event; without any, the whole recording is one."""
     opened = open_container(path)
     topic = events_topic or EVENTS_TOPIC
     starts: list[int] = []

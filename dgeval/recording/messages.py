@@ -1,4 +1,4 @@
-"""Facts out of decoded messages, whatever their ROS version: stamps, poses, intrinsics, joints, events."""
+"""Values from decoded messages of either ROS version: stamps, poses, intrinsics, joints, events."""
 
 from __future__ import annotations
 
@@ -31,7 +31,10 @@ def stamp_ns(message: Any) -> int:
 
 
 def header_stamp_ns(data: bytes, encoding: str) -> int:
-    """The stamp of a message that begins with a Header, without decoding the rest. struct.error if too short."""
+    """Stamp of a message that begins with a Header, ns, without decoding the rest.
+
+    struct.error for too few bytes.
+    """
     if encoding == "ros1":
         sec, nanosec = struct.unpack_from("<II", data, 4)
     else:
@@ -42,7 +45,7 @@ def header_stamp_ns(data: bytes, encoding: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class StampedPose:
-    """T_parent_child as px py pz qx qy qz qw at a time; child is "" where the message does not name one."""
+    """T_parent_child at a time, px py pz qx qy qz qw; child is "" where the message names none."""
 
     t_ns: int
     parent: str
@@ -51,7 +54,10 @@ class StampedPose:
 
 
 def pose_numbers(position: Any, orientation: Any) -> Array:
-    """(7,) px py pz qx qy qz qw, normalised. ValueError for NaN or a quaternion whose norm is not near 1."""
+    """(7,) px py pz qx qy qz qw, normalised.
+
+    ValueError for NaN, or a quaternion whose norm is not within 0.1 of 1.
+    """
     pose = np.array(
         [
             position.x,
@@ -101,7 +107,7 @@ class CameraModel:
 
 
 def camera_model(message: Any) -> CameraModel:
-    """sensor_msgs/CameraInfo of either ROS version. ValueError for a matrix that can't be a camera's."""
+    """From sensor_msgs/CameraInfo. ValueError for a matrix that can't be a camera's."""
     k = np.asarray(message.k if hasattr(message, "k") else message.K, dtype=np.float64).reshape(
         3, 3
     )
@@ -118,7 +124,10 @@ def camera_model(message: Any) -> CameraModel:
 
 
 def cloud_points(message: Any) -> Array:
-    """Finite points (n, 3) of a sensor_msgs/PointCloud2. ValueError without float x, y, z or with too few bytes."""
+    """Finite points (n, 3) of a sensor_msgs/PointCloud2.
+
+    ValueError without floating point x, y, z, or with too few bytes.
+    """
     kinds = {7: "f4", 8: "f8"}
     fields = {f.name: f for f in message.fields}
     if any(n not in fields or fields[n].datatype not in kinds for n in "xyz"):
@@ -144,7 +153,10 @@ def cloud_points(message: Any) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class JointSample:
-    """One JointState: positions rad or m, efforts Nm or N by joint name; what no joint can have is left out."""
+    """One JointState: positions, rad or m, and efforts, Nm or N, by joint name.
+
+    Values of 1e6 and more, infinite ones and NaN are left out.
+    """
 
     t_ns: int
     positions: dict[str, float]
@@ -152,6 +164,7 @@ class JointSample:
 
 
 def joints_of(message: Any) -> JointSample:
+    """From sensor_msgs/JointState; names without a value are left out."""
     values = {
         n: float(v) for n, v in zip(message.name, message.position, strict=False) if abs(v) < 1e6
     }
@@ -163,7 +176,7 @@ def joints_of(message: Any) -> JointSample:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An entry of /dgeval/events: what happened at which log time, with whatever else was written."""
+    """An entry of /dgeval/events: time, ns, kind, and the other fields as written."""
 
     t_ns: int
     kind: str
@@ -171,7 +184,10 @@ class Event:
 
 
 def event_of(text: str, log_ns: int) -> Event:
-    """JSON {"event": …}; an own "t_ns" wins over the log time. ValueError for anything else."""
+    """From JSON {"event": kind, …}; its own "t_ns" goes before the log time.
+
+    ValueError for anything else.
+    """
     try:
         value = json.loads(text)
     except RecursionError as error:

@@ -16,7 +16,7 @@ from dgeval.recording.scan import Scan
 
 
 class Pair(NamedTuple):
-    """A colour image and its depth image: the colour stamp, ns, and each one's ordinal in its topic."""
+    """A colour and a depth image: the colour stamp, ns, and each one's ordinal in its topic."""
 
     t_ns: int
     colour: int

@@ -1,4 +1,8 @@
-"""Where camera, palm and hand links are at a time: tf, pose topics, and joints with a description, in one tree."""
+"""Poses of camera, palm and hand links over time.
+
+They come from tf, from pose topics, and from joint states with a robot description, all in one
+transform tree.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +22,7 @@ from dgeval.recording.scan import Scan
 from dgeval.recording.transforms import TransformTree
 from dgeval.robots.description import Description, Joint, LinkShape, load_description
 
+# names of the robot's base in common descriptions, in order of preference
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
 
 
@@ -30,6 +35,7 @@ class JointTrack:
 
     @staticmethod
     def of(samples: list[JointSample], offset_ns: int) -> JointTrack:
+        """Samples in time order, the clock offset added; a repeated stamp is dropped."""
         out = JointTrack()
         for sample in sorted(samples, key=lambda s: s.t_ns):
             for name, value in sample.positions.items():
@@ -42,6 +48,7 @@ class JointTrack:
         return out
 
     def at(self, name: str, t_ns: int, max_gap_ns: int) -> float | None:
+        """Position of a joint at a time; None outside its samples or in a gap."""
         times = self.times.get(name)
         if not times:
             return None
@@ -56,7 +63,11 @@ class JointTrack:
 
 @dataclass(frozen=True)
 class RobotStates:
-    """Poses of camera, palm and hand links over one recording. `notes` says what was assumed."""
+    """Poses of camera, palm and hand links over one recording; None where one is not known.
+
+    hand_links: links of the hand that have a shape. joints: of the whole robot. notes: what was
+    assumed.
+    """
 
     tree: TransformTree
     camera_frame: str
@@ -78,7 +89,7 @@ class RobotStates:
         return self.tree.lookup(self.base_frame, self.palm_frame, t_ns)
 
     def hand_shapes(self, t_ns: int) -> list[tuple[LinkShape, Array]] | None:
-        """The hand's solids with T_camera_shape; None where a link's pose is not known at this time."""
+        """The hand's solids with T_camera_shape; None where a link's pose is not known then."""
         if self.description is None or not self.hand_links:
             return None
         out: list[tuple[LinkShape, Array]] = []
@@ -93,7 +104,10 @@ class RobotStates:
 
 
 def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
-    """Put tf, pose topics and joint states of a recording into one tree and find camera, base and palm in it."""
+    """Put tf, pose topics and joint states into one tree; find camera, base and palm in it.
+
+    UsageError where the configuration names a frame that is not there.
+    """
     max_gap_ns = round(config.sync.max_pose_gap_s * 1e9)
     tree = TransformTree(max_gap_ns)
     notes: list[str] = []
@@ -199,7 +213,10 @@ def _palm(scan: Scan, roles: Roles, config: Config, tree: TransformTree) -> str 
 
 
 def _hand_root(description: Description, palm: str) -> str:
-    """The link the fingers hang from: the palm itself, or what carries a palm frame without children of its own."""
+    """The link that the fingers are mounted on.
+
+    The palm itself, or the link that carries a palm frame without children of its own.
+    """
     link = palm
     while len(description.below(link)) == 1 and link in description.joints:
         link = description.joints[link].parent

@@ -1,4 +1,4 @@
-"""Which topic plays which role: found by type and name, unless the configuration says so."""
+"""Which topic has which role: chosen by type and name unless the configuration names it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from dgeval.recording.images import DEPTH_ENCODINGS
 from dgeval.recording.scan import Scan
 
 COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "mono8", "8UC1"})
+# parts of a topic's name that rule it out as the camera or a state of the robot
 NOT_A_CAMERA = (DGEVAL_PREFIX, TRUTH_PREFIX, "mask", "debug", "annotated", "detection")
 
 
 @dataclass(frozen=True)
 class Roles:
-    """The topic of each role, or None; and, for a role that several topics could play, the ones not taken."""
+    """The topic of each role, or None. passed_over: by role, topics that could have it as well."""
 
     colour: str | None
     depth: str | None
@@ -29,7 +30,7 @@ class Roles:
 
 
 def find_roles(scan: Scan, config: RolesConfig) -> Roles:
-    """UsageError if a configured topic is not in the recording; it lists the topics that are."""
+    """UsageError for a configured topic that is not in the recording; it lists those that are."""
     topics = scan.opened.topics
     for role, name in config.model_dump().items():
         if name is not None and name not in topics:
@@ -49,7 +50,7 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
         return ranked[0] if ranked else None
 
     def used(name: str) -> bool:
-        return bool(scan.times[name].log_ns) and not any(word in name for word in NOT_A_CAMERA)
+        return bool(scan.times[name].log_ns) and not any(part in name for part in NOT_A_CAMERA)
 
     heads = {name: head for name, head in scan.images.items() if used(name)}
     colour = config.colour or choose(
@@ -108,7 +109,7 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
 
 
 def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
-    """The topics of colour and depth. UnreadableError where one is missing; it lists what is there."""
+    """The topics of colour and depth. UnreadableError without one; it lists what is there."""
     if roles.colour is not None and roles.depth is not None:
         return roles.colour, roles.depth
     missing = " and ".join(
@@ -125,8 +126,8 @@ def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
     )
 
 
-def _has(name: str, *words: str) -> bool:
-    return any(word in name.lower() for word in words)
+def _has(name: str, *parts: str) -> bool:
+    return any(part in name.lower() for part in parts)
 
 
 def _count(scan: Scan, name: str) -> int:

@@ -1,7 +1,7 @@
-"""One pass over a recording: counts, stamps, and everything small (poses, joints, intrinsics, events, latched data).
+"""One pass over a recording: counts, stamps, poses, joints, intrinsics, events and latched data.
 
-Images are not decoded here, only their stamps read (and the first of each topic looked at). What is kept per message is
-a few numbers; images never are, so memory does not grow with their number.
+Of images only the stamps are read, and the first of each topic is decoded. A few numbers are kept
+per message and no image, so memory does not grow with the size of images.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class TopicTimes:
 
 @dataclass(frozen=True, slots=True)
 class ImageHead:
-    """The first image of a topic."""
+    """The first image of a topic; encoding "?" where it can't be decoded. Size px."""
 
     encoding: str
     width: int
@@ -66,7 +66,7 @@ class ImageHead:
 
 @dataclass
 class Scan:
-    """What one pass found."""
+    """What one pass keeps of a recording, most of it by topic."""
 
     opened: Opened
     times: dict[str, TopicTimes] = field(default_factory=lambda: defaultdict(TopicTimes))
@@ -86,7 +86,7 @@ class Scan:
 
 
 def scan(opened: Opened, events_topic: str | None = None) -> Scan:
-    """Read the whole recording once. Faults of the container end up in `opened.damage`."""
+    """Read the whole recording once. Faults of the file are added to `opened.damage`."""
     out = Scan(opened)
     wanted_events = events_topic or EVENTS_TOPIC
     seen_camera: dict[str, bytes] = {}
@@ -98,9 +98,8 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             if topic.type in IMAGE_TYPES:
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
                 known = out.images.get(message.topic)
-                if (
-                    known is None or known.encoding == "?"
-                ):  # a broken first image does not hide the topic
+                # a broken first image does not hide the topic
+                if known is None or known.encoding == "?":
                     out.images[message.topic] = _head(message, opened)
             elif topic.type == TF_TYPE:
                 latched = message.topic.endswith("static")
@@ -118,7 +117,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 )
             elif topic.type == "sensor_msgs/msg/CameraInfo":
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
-                matrix = message.data[20:]  # after the stamp: equal bytes need no second look
+                matrix = message.data[20:]  # after the stamp; equal bytes are not decoded again
                 if seen_camera.get(message.topic) != matrix:
                     model = camera_model(opened.decode(message))
                     if message.topic in out.cameras and out.cameras[message.topic] != model:
@@ -142,7 +141,10 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             out.first_undecodable.setdefault(message.topic, str(error))
     out.events.sort(key=lambda e: e.t_ns)
     for name in sorted(out.undecodable):
-        what = f"{out.undecodable[name]} messages can't be used, the first: {out.first_undecodable[name]}"
+        what = (
+            f"{out.undecodable[name]} messages can't be used, "
+            f"the first: {out.first_undecodable[name]}"
+        )
         opened.damage.append(Damage(what, Place(str(opened.path), name)))
     return out
 

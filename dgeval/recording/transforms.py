@@ -1,4 +1,4 @@
-"""The tf tree over time: lookups by interpolation, never by extrapolation in silence."""
+"""The tf tree over time: poses are interpolated, never extrapolated."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from dgeval.geometry import Array, interpolate_pose, invert, matrix_from_pose
 
-EXACT_NS = 1_000
+EXACT_NS = 1_000  # ns; a sample this near in time is used as it is
 
 
 @dataclass
 class Track:
-    """A pose over time, rising stamps; `sample` interpolates inside and gives None outside or in a long gap."""
+    """A pose over time, stamps rising; poses (7,) px py pz qx qy qz qw."""
 
     times: list[int] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
     out_of_order: int = 0
 
     def add(self, t_ns: int, pose: Array) -> None:
-        """Append; a stamp that repeats is dropped, an older one is put in its place and counted."""
+        """Add a sample; a repeated stamp is dropped, an older one is sorted in and counted."""
         if not self.times or t_ns > self.times[-1]:
             self.times.append(t_ns)
             self.poses.append(pose)
@@ -35,7 +35,10 @@ class Track:
             self.poses.insert(at, pose)
 
     def sample(self, t_ns: int, max_gap_ns: int) -> Array | None:
-        """(7,) pose at a time: exact within 1 µs, else between neighbours at most max_gap_ns apart."""
+        """(7,) pose at a time: a sample within EXACT_NS, else interpolated over at most max_gap_ns.
+
+        None outside the samples or in a longer gap.
+        """
         at = bisect_left(self.times, t_ns)
         for i in (at - 1, at):
             if 0 <= i < len(self.times) and abs(self.times[i] - t_ns) <= EXACT_NS:
@@ -52,7 +55,7 @@ class Track:
 
 @dataclass
 class TransformTree:
-    """Frames and the edges to their parents: recorded (moving), static, or computed (joints of a description)."""
+    """Frames and the edges to their parents: moving (recorded), static, or computed from joints."""
 
     max_gap_ns: int = 500_000_000
     moving: dict[str, tuple[str, Track]] = field(default_factory=dict)
@@ -65,7 +68,7 @@ class TransformTree:
         if known is None:
             known = self.moving[child] = (parent, Track())
         if known[0] != parent:
-            self.reparented += 1  # a frame has one parent in tf; the first one heard of stays
+            self.reparented += 1  # a frame has one parent in tf; the first one recorded stays
             return
         known[1].add(t_ns, pose)
 
@@ -97,7 +100,7 @@ class TransformTree:
         return chain
 
     def _edge(self, child: str, t_ns: int) -> Array | None:
-        """T_parent_child at a time. What was recorded goes before what is computed."""
+        """T_parent_child at a time; a recorded edge goes before a computed one."""
         if child in self.moving:
             pose = self.moving[child][1].sample(t_ns, self.max_gap_ns)
             return None if pose is None else matrix_from_pose(pose)
@@ -106,7 +109,7 @@ class TransformTree:
         return self.computed[child][1](t_ns)
 
     def lookup(self, target: str, source: str, t_ns: int) -> Array | None:
-        """T_target_source (4, 4) at a time, or None: not connected, outside the record, or in a gap."""
+        """T_target_source (4, 4) at a time; None if not connected, or not known then."""
         up_source, up_target = self.ancestors(source), self.ancestors(target)
         common = next((f for f in up_source if f in up_target), None)
         if common is None:

@@ -1,4 +1,7 @@
-"""Writing recordings: MCAP with checksums, ROS 1 bags, ROS 2 folders; byte-identical from run to run."""
+"""Writes recordings: MCAP with checksums, ROS 1 bags, ROS 2 folders.
+
+The same messages give the same bytes in every run.
+"""
 
 from __future__ import annotations
 
@@ -28,6 +31,7 @@ def message(kind: str, /, **fields: Any) -> Any:
 
 
 def header(t_ns: int, frame_id: str) -> Any:
+    """std_msgs/Header."""
     return message(
         "std_msgs/Header",
         stamp=message("builtin_interfaces/Time", sec=t_ns // 10**9, nanosec=t_ns % 10**9),
@@ -93,6 +97,7 @@ def compressed_depth_message(t_ns: int, frame_id: str, millimetres: Any, level: 
 
 
 def camera_info_message(t_ns: int, frame_id: str, camera: Any) -> Any:
+    """sensor_msgs/CameraInfo of `Intrinsics`, without distortion."""
     k = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1], dtype=np.float64)
     p = np.array(
         [camera.fx, 0, camera.cx, 0, 0, camera.fy, camera.cy, 0, 0, 0, 1, 0], dtype=np.float64
@@ -101,9 +106,19 @@ def camera_info_message(t_ns: int, frame_id: str, camera: Any) -> Any:
         "sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
     )
     return message(
-        "sensor_msgs/CameraInfo", header=header(t_ns, frame_id), height=camera.height, width=camera.width,
-        distortion_model="plumb_bob", d=np.zeros(5), k=k, r=np.eye(3).ravel(), p=p, binning_x=0, binning_y=0, roi=roi,
-    )  # fmt: skip
+        "sensor_msgs/CameraInfo",
+        header=header(t_ns, frame_id),
+        height=camera.height,
+        width=camera.width,
+        distortion_model="plumb_bob",
+        d=np.zeros(5),
+        k=k,
+        r=np.eye(3).ravel(),
+        p=p,
+        binning_x=0,
+        binning_y=0,
+        roi=roi,
+    )
 
 
 def pose_stamped(t_ns: int, frame_id: str, T: Any) -> Any:
@@ -129,6 +144,7 @@ def twist_stamped(t_ns: int, frame_id: str, twist: Any) -> Any:
 def joint_state(
     t_ns: int, names: Sequence[str], position: Any, velocity: Any = (), effort: Any = ()
 ) -> Any:
+    """sensor_msgs/JointState: rad or m, rad/s or m/s, Nm or N by joint name."""
     values = [np.asarray(v, dtype=np.float64) for v in (position, velocity, effort)]
     return message(
         "sensor_msgs/JointState",
@@ -141,6 +157,7 @@ def joint_state(
 
 
 def text(value: str) -> Any:
+    """std_msgs/String."""
     return message("std_msgs/String", data=value)
 
 
@@ -163,13 +180,21 @@ def cloud_message(t_ns: int, frame_id: str, points: Any) -> Any:
     ]
     data = np.ascontiguousarray(points, dtype="<f4").view(np.uint8).ravel()
     return message(
-        "sensor_msgs/PointCloud2", header=header(t_ns, frame_id), height=1, width=len(points), fields=fields,
-        is_bigendian=False, point_step=12, row_step=12 * len(points), data=data, is_dense=True,
-    )  # fmt: skip
+        "sensor_msgs/PointCloud2",
+        header=header(t_ns, frame_id),
+        height=1,
+        width=len(points),
+        fields=fields,
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * len(points),
+        data=data,
+        is_dense=True,
+    )
 
 
 class McapWriter:
-    """ROS 2 profile, chunks with CRC. Messages must come in log-time order."""
+    """An MCAP file of the ROS 2 profile, chunks with CRC. Messages must come in log-time order."""
 
     def __init__(
         self,
@@ -265,14 +290,14 @@ class Db3Writer:
 
 
 def open_writer(path: Path) -> McapWriter | BagWriter | Db3Writer:
-    """By suffix: .mcap, .bag; a ROS 2 folder without one."""
+    """The writer for a path: .mcap or .bag by its suffix, else a ROS 2 folder."""
     if path.suffix == ".bag":
         return BagWriter(path)
     return McapWriter(path) if path.suffix == ".mcap" else Db3Writer(path)
 
 
 def _as_ros1(value: Any) -> Any:
-    """The ROS 1 message of a ROS 2 one: names differ by case, headers have a sequence number."""
+    """The ROS 1 message of a ROS 2 one: names differ in case, headers have a sequence number, 0."""
     kind = getattr(value, "__msgtype__", None)
     if kind is None:
         return [_as_ros1(v) for v in value] if isinstance(value, list) else value
@@ -282,7 +307,5 @@ def _as_ros1(value: Any) -> Any:
         f.name.lower(): getattr(value, f.name) for f in fields(value) if not f.name.startswith("__")
     }
     target: Any = STORE_ROS1.types[kind]
-    return target(**{
-        f.name: _as_ros1(given[f.name.lower()]) if f.name.lower() in given else 0
-        for f in fields(target) if not f.name.startswith("__")
-    })  # fmt: skip
+    names = [f.name for f in fields(target) if not f.name.startswith("__")]
+    return target(**{n: _as_ros1(given[n.lower()]) if n.lower() in given else 0 for n in names})

@@ -1,4 +1,4 @@
-"""Catches: a depth image used twice, pairs beyond the tolerance, stamp faults that pass uncounted."""
+"""Catches: a depth image used twice, pairs beyond the tolerance, wrong stamps not counted."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ rising = st.lists(st.integers(1, 100), max_size=25).map(
 def test_pairs_are_one_to_one_in_order_and_within_tolerance(
     c: np.ndarray, d: np.ndarray, tolerance: int
 ) -> None:
+    """Fails where an image is in two pairs, or a pair is farther apart than the tolerance."""
     pairs = pair(c, d, tolerance)
     assert len({a for a, _ in pairs}) == len({b for _, b in pairs}) == len(pairs)
     assert pairs == sorted(pairs)
@@ -26,19 +27,23 @@ def test_pairs_are_one_to_one_in_order_and_within_tolerance(
 
 @given(rising)
 def test_equal_stamps_pair_completely(c: np.ndarray) -> None:
+    """Fails where a neighbour is preferred to an exact match."""
     assert pair(c, c, 10) == [(i, i) for i in range(len(c))]
 
 
 def test_the_nearest_wins_and_the_other_stays_alone() -> None:
+    """Fails where images are paired first come, first served."""
     assert pair(np.array([0, 10]), np.array([9]), 20) == [(1, 0)]
 
 
 def test_half_rate_depth_leaves_every_second_colour_unmatched() -> None:
+    """Fails where one depth image serves two colour images."""
     colour = np.arange(10) * 33
     assert len(pair(colour, colour[::2], 16)) == 5
 
 
 def test_stamp_faults_follow_their_rules() -> None:
+    """Fails where a wrong stamp is used, dropped or counted against its rule."""
     header = np.array([10, 20, 0, 15, 30, 30, 10_000_000_000_040], dtype=np.int64)
     log = np.array([11, 21, 26, 31, 32, 33, 41], dtype=np.int64)
     stamps, ordinals, faults = clean_stamps(header, log, 0, 5_000_000_000)
@@ -48,11 +53,13 @@ def test_stamp_faults_follow_their_rules() -> None:
 
 
 def test_clock_offset_is_added() -> None:
+    """Fails where the clock offset is subtracted or left out."""
     stamps, _, _ = clean_stamps(np.array([10, 20]), np.array([10, 20]), -3, 10**9)
     assert stamps.tolist() == [7, 17]
 
 
 def test_default_tolerance_is_half_a_period() -> None:
+    """Fails where slow cameras pair images 50 ms apart, or a configured value is not used."""
     assert tolerance_ns(np.arange(5) * 33_000_000, SyncConfig()) == 16_500_000
     assert tolerance_ns(np.arange(5) * 10**9, SyncConfig()) == 50_000_000
     assert tolerance_ns(np.arange(5), SyncConfig(tolerance_s=0.01)) == 10_000_000

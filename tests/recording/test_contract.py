@@ -1,4 +1,7 @@
-"""Catches: a topic or event name spelled out beside the contract, where a typing error would read as "not recorded"."""
+"""Catches: a topic or event name spelled out beside the contract.
+
+A mistyped name would read as "not recorded".
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ def topics_in(tree: ast.AST) -> Iterator[str]:
 
 
 def kinds_in(tree: ast.AST) -> Iterator[str]:
-    """Event kinds as literals: compared, asked for by `event_ns`, or written under the event's key."""
+    """Event kinds as literals: compared, looked up by `event_ns`, or written as an event."""
     for node in ast.walk(tree):
         suspects: list[ast.AST] = []
         if isinstance(node, ast.Compare):
@@ -60,7 +63,7 @@ def _is_event_key(key: ast.expr) -> bool:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_topics_and_event_kinds_are_named_by_the_contract_alone(path: Path) -> None:
-    """Fails where a file spells out a topic, or compares with an event kind, that the contract names."""
+    """Fails where a file spells out a topic, or compares with an event kind as a literal."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     assert [*topics_in(tree), *kinds_in(tree)] == []
 
@@ -84,7 +87,7 @@ def test_the_search_finds_what_it_is_for(code: str) -> None:
 
 
 def test_the_search_leaves_docstrings_and_other_words_alone() -> None:
-    """Fails where the search forbids writing about a topic, or a column that is called like an event."""
+    """Fails where the search refuses a docstring, or a column with the name of an event."""
     tree = ast.parse('"""Reads /dgeval/events."""\nrow = {"close": row["label"]}\n')
     assert [*topics_in(tree), *kinds_in(tree)] == []
 

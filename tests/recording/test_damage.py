@@ -1,8 +1,8 @@
 """A slice of the damage campaign (soak/damage_campaign.py), small enough for every run.
 
-Catches a reader that gives wrong or fewer messages in silence, lets a foreign exception out, or
-loses the file's name; and a command line that ends in a traceback or an internal error over
-contents that are wrong.
+Catches: a reader that gives wrong or fewer messages without an error, lets another library's
+exception out, or doesn't name the file; and a command line that ends in a traceback or an internal
+error over damaged contents.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ FEW = {
     "bag": 1,
     "db3": 1,
 }  # cases per mutation: opening a bag or a database costs ten times an MCAP
-# A bare database from which rows were deleted in good order is a shorter recording; only a sha256 tells.
+# A bare database from which rows were deleted properly is a shorter recording: only a SHA-256 of a
+# manifest can tell.
 UNKNOWABLE = {("db3 bare", "DELETE FROM messages WHERE id > 40")}
 ALL_OF = ("count field", "SQL", "record opcode flip")
 
@@ -69,7 +70,7 @@ def test_damaged_bytes(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 def test_bomb(compression: str, tmp_path: Path) -> None:
-    """A chunk that expands to far more than it claims costs that chunk, not the machine's memory."""
+    """A chunk that expands to more than it claims costs that chunk, not the machine's memory."""
     path = tmp_path / "bomb.mcap"
     path.write_bytes(d.bomb(compression, 1 << 28))
     idle = d.in_child(lambda: d.Outcome("nothing")).peak_mb

@@ -1,4 +1,4 @@
-"""Catches: 16 bits squeezed to 8, red and blue swapped, padding read as pixels, endianness ignored, cut images accepted."""
+"""Catches: 16 bits cut to 8, red and blue swapped, padding or byte order ignored, cut images."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ DEPTH = RNG.integers(0, 65536, (7, 9)).astype(np.uint16)
 def raw(
     array: np.ndarray, encoding: str, step: int | None = None, big: bool = False, pad: int = 0
 ) -> SimpleNamespace:
+    """A sensor_msgs/Image of an array, with `pad` bytes of 255 after each row."""
     rows = (
         array.astype(array.dtype.newbyteorder(">" if big else "<"))
         .reshape(array.shape[0], -1)
@@ -27,18 +28,24 @@ def raw(
     )
     rows = np.hstack([rows, np.full((len(rows), pad), 255, np.uint8)])
     return SimpleNamespace(
-        height=array.shape[0], width=array.shape[1], encoding=encoding, is_bigendian=int(big),
-        step=step if step is not None else rows.shape[1], data=rows.ravel(),
-    )  # fmt: skip
+        height=array.shape[0],
+        width=array.shape[1],
+        encoding=encoding,
+        is_bigendian=int(big),
+        step=step if step is not None else rows.shape[1],
+        data=rows.ravel(),
+    )
 
 
 @pytest.mark.parametrize("big", [False, True])
 @pytest.mark.parametrize("pad", [0, 6])
 def test_raw_depth_is_exact(big: bool, pad: int) -> None:
+    """Fails where byte order or padding changes a depth."""
     assert np.array_equal(decode_image(raw(DEPTH, "16UC1", big=big, pad=pad)).array, DEPTH)
 
 
 def test_raw_colours_keep_their_channels() -> None:
+    """Fails where red and blue are swapped."""
     red = np.zeros((4, 5, 3), np.uint8)
     red[..., 0] = 200
     assert np.array_equal(colour_from(decode_image(raw(red, "rgb8"))), red)
@@ -55,12 +62,13 @@ def test_raw_colours_keep_their_channels() -> None:
     ],
 )
 def test_compressed_depth_round_trip_is_exact(text: str) -> None:
+    """Fails where a ROS version's format text is not known, or depth is cut to 8 bits."""
     data = b"\0" * 12 + cv2.imencode(".png", DEPTH)[1].tobytes()
     assert np.array_equal(decode_image(SimpleNamespace(format=text, data=data)).array, DEPTH)
 
 
 def test_compressed_depth_of_floats() -> None:
-    """image_transport's quantisation: code = a / z + b."""
+    """Fails where image_transport's quantisation, code = a / z + b, is inverted wrongly."""
     z = np.linspace(0.3, 4.0, 60, dtype=np.float32).reshape(6, 10)
     a, b = 100.0 * 4.0 * (4.0 + 1), 1.0 - 100.0 * (4.0 + 1)
     codes = np.round(a / z + b).astype(np.uint16)
@@ -74,6 +82,7 @@ def test_compressed_depth_of_floats() -> None:
 
 
 def test_depth_units_and_missing_readings() -> None:
+    """Fails where a unit is wrong, or a missing reading becomes a distance."""
     codes = np.array([[0, 65535, 1000, 250]], np.uint16)
     assert np.allclose(depth_from(decode_image(raw(codes, "16UC1")), None), [[0, 0, 1.0, 0.25]])
     assert np.allclose(depth_from(decode_image(raw(codes, "mono16")), 0.0001), [[0, 0, 0.1, 0.025]])
@@ -99,18 +108,21 @@ def test_depth_units_and_missing_readings() -> None:
     ],
 )
 def test_broken_images_are_value_errors(message: SimpleNamespace) -> None:
+    """Fails where a broken image is used, or raises another error."""
     with pytest.raises(ValueError, match=r"."):
         decode_image(message)
 
 
 @given(st.binary(max_size=200))
 def test_random_bytes_never_raise_anything_else(data: bytes) -> None:
+    """Fails where damaged bytes let an error of OpenCV or struct through."""
     for text in ("jpeg", "png", "16UC1; compressedDepth png", "32FC1; compressedDepth"):
         with pytest.raises(ValueError, match=r"."):
             decode_image(SimpleNamespace(format=text, data=b"\x89PNG\r\n\x1a\n" + data))
 
 
 def test_colour_and_depth_are_not_mistaken_for_each_other() -> None:
+    """Fails where a topic of the other kind is read as colour or depth."""
     with pytest.raises(ValueError, match="not a colour"):
         colour_from(decode_image(raw(DEPTH, "16UC1")))
     with pytest.raises(ValueError, match="not a depth"):
@@ -120,7 +132,7 @@ def test_colour_and_depth_are_not_mistaken_for_each_other() -> None:
 @pytest.mark.parametrize(("kind", "datatype"), [("f4", 7), ("f8", 8)])
 @pytest.mark.parametrize("big", [False, True])
 def test_clouds_of_any_layout_give_their_points(kind: str, datatype: int, big: bool) -> None:
-    """Catches: fields read by order instead of offset, padding read as a coordinate, endianness, NaN for what was not seen."""
+    """Fails where fields are read by order, or padding, byte order or NaN are not respected."""
     points = RNG.normal(size=(6, 3)).astype(kind)
     points[2] = np.nan
     size = np.dtype(kind).itemsize

@@ -48,7 +48,7 @@ def scan_of(
     counted otherwise.
     """
     container = Container()
-    found = Scan(Opened(container, container.path))
+    scanned = Scan(Opened(container, container.path))
     kinds = {
         **dict.fromkeys(images or {}, IMAGE),
         **dict.fromkeys(cameras, INFO),
@@ -58,20 +58,20 @@ def scan_of(
     for name, kind in kinds.items():
         count = (counts or {}).get(name, 10)
         container.topics[name] = Topic(name, kind, "cdr", count, lambda data: data)
-        found.times[name] = TopicTimes(list(range(count)), list(range(count)))
+        scanned.times[name] = TopicTimes(list(range(count)), list(range(count)))
     for name, encoding in (images or {}).items():
-        found.images[name] = ImageHead(encoding, 64, 48, "camera", encoding)
+        scanned.images[name] = ImageHead(encoding, 64, 48, "camera", encoding)
     for name in cameras:
-        found.cameras[name] = CAMERA
+        scanned.cameras[name] = CAMERA
     for name in joints:
-        found.joints[name] = []
+        scanned.joints[name] = []
     for name in poses:
-        found.poses[name] = []
-    return found
+        scanned.poses[name] = []
+    return scanned
 
 
-def roles(found: Scan, **configured: str) -> Roles:
-    return find_roles(found, RolesConfig.model_validate(configured))
+def roles(scanned: Scan, **configured: str) -> Roles:
+    return find_roles(scanned, RolesConfig.model_validate(configured))
 
 
 # images
@@ -79,21 +79,21 @@ def roles(found: Scan, **configured: str) -> Roles:
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "mono8", "8UC1"])
 def test_colour_by_its_encoding(encoding: str) -> None:
-    found = roles(scan_of({"/a": encoding, "/b": "16UC1"}))
-    assert (found.colour, found.depth) == ("/a", "/b")
-    assert found.passed_over == {}
+    chosen = roles(scan_of({"/a": encoding, "/b": "16UC1"}))
+    assert (chosen.colour, chosen.depth) == ("/a", "/b")
+    assert chosen.passed_over == {}
 
 
 @pytest.mark.parametrize("encoding", ["16UC1", "mono16", "Z16", "32FC1"])
 def test_depth_by_its_encoding(encoding: str) -> None:
-    found = roles(scan_of({"/a": "rgb8", "/b": encoding}))
-    assert (found.colour, found.depth) == ("/a", "/b")
+    chosen = roles(scan_of({"/a": "rgb8", "/b": encoding}))
+    assert (chosen.colour, chosen.depth) == ("/a", "/b")
 
 
 def test_an_image_of_another_kind_plays_no_role() -> None:
     """Catches an infrared image of 16 bits or a broken image taken for colour or depth."""
-    found = roles(scan_of({"/a": "?", "/b": "bayer_rggb8"}))
-    assert (found.colour, found.depth, found.intrinsics) == (None, None, None)
+    chosen = roles(scan_of({"/a": "?", "/b": "bayer_rggb8"}))
+    assert (chosen.colour, chosen.depth, chosen.intrinsics) == (None, None, None)
 
 
 def test_a_picture_of_depth_is_not_colour() -> None:
@@ -105,38 +105,38 @@ def test_a_picture_of_depth_is_not_colour() -> None:
 def test_colour_by_its_name(name: str) -> None:
     """Catches the topic with more messages in place of the one whose name says colour."""
     other = "/a/image"
-    found = roles(scan_of({other: "rgb8", f"/z/{name}": "rgb8"}, counts={other: 90}))
-    assert found.colour == f"/z/{name}"
-    assert found.passed_over == {"colour": [other]}
+    chosen = roles(scan_of({other: "rgb8", f"/z/{name}": "rgb8"}, counts={other: 90}))
+    assert chosen.colour == f"/z/{name}"
+    assert chosen.passed_over == {"colour": [other]}
 
 
 @pytest.mark.parametrize("name", ["infra1", "left", "right"])
 def test_a_stereo_image_comes_after_another(name: str) -> None:
-    found = roles(scan_of({f"/a/{name}": "mono8", "/z/image": "mono8"}, counts={f"/a/{name}": 90}))
-    assert found.colour == "/z/image"
+    chosen = roles(scan_of({f"/a/{name}": "mono8", "/z/image": "mono8"}, counts={f"/a/{name}": 90}))
+    assert chosen.colour == "/z/image"
 
 
 @pytest.mark.parametrize("name", ["aligned_to", "registered"])
 def test_aligned_depth_comes_first(name: str) -> None:
     """Catches depth of another camera's pixels in place of that which fits the colour image."""
     images = {"/a/depth": "16UC1", f"/z/{name}": "16UC1"}
-    found = roles(scan_of(images, counts={"/a/depth": 90}))
-    assert found.depth == f"/z/{name}"
-    assert found.passed_over == {"depth": ["/a/depth"]}
+    chosen = roles(scan_of(images, counts={"/a/depth": 90}))
+    assert chosen.depth == f"/z/{name}"
+    assert chosen.passed_over == {"depth": ["/a/depth"]}
 
 
 def test_depth_by_its_name() -> None:
-    found = roles(scan_of({"/a/thermal": "16UC1", "/z/depth": "16UC1"}, counts={"/a/thermal": 90}))
-    assert found.depth == "/z/depth"
+    chosen = roles(scan_of({"/a/thermal": "16UC1", "/z/depth": "16UC1"}, counts={"/a/thermal": 90}))
+    assert chosen.depth == "/z/depth"
 
 
 def test_ties_go_to_the_most_messages_then_to_the_first_name() -> None:
     """Catches a choice by the order in the file, which another recorder changes."""
     images = {"/c/rgb": "rgb8", "/b/rgb": "rgb8", "/a/rgb": "rgb8"}
     assert roles(scan_of(images, counts={"/b/rgb": 11})).colour == "/b/rgb"
-    found = roles(scan_of(images))
-    assert found.colour == "/a/rgb"
-    assert found.passed_over == {"colour": ["/b/rgb", "/c/rgb"]}
+    chosen = roles(scan_of(images))
+    assert chosen.colour == "/a/rgb"
+    assert chosen.passed_over == {"colour": ["/b/rgb", "/c/rgb"]}
     depth = {"/c/depth": "16UC1", "/b/depth": "16UC1", "/a/depth": "16UC1"}
     assert roles(scan_of(depth, counts={"/c/depth": 11})).depth == "/c/depth"
     assert roles(scan_of(depth)).depth == "/a/depth"
@@ -157,12 +157,12 @@ def test_what_was_drawn_or_is_the_truth_is_no_camera(name: str) -> None:
 
 def test_a_topic_without_messages_plays_no_role() -> None:
     images = {"/a/rgb": "rgb8", "/a/depth": "16UC1"}
-    found = roles(
+    chosen = roles(
         scan_of(
             images, joints=("/joint_states",), counts=dict.fromkeys([*images, "/joint_states"], 0)
         )
     )
-    assert (found.colour, found.depth, found.hand_joints) == (None, None, None)
+    assert (chosen.colour, chosen.depth, chosen.hand_joints) == (None, None, None)
 
 
 # intrinsics
@@ -173,11 +173,11 @@ def test_intrinsics_are_those_of_the_nearest_name() -> None:
     alphabet.
     """
     cameras = ("/camera/depth/camera_info", "/camera/color/camera_info", "/other/camera_info")
-    found = roles(scan_of({"/camera/color/image_raw": "rgb8"}, cameras=cameras))
-    assert found.intrinsics == "/camera/color/camera_info"
+    chosen = roles(scan_of({"/camera/color/image_raw": "rgb8"}, cameras=cameras))
+    assert chosen.intrinsics == "/camera/color/camera_info"
     # none nearer than another: the first name
-    found = roles(scan_of({"/image": "rgb8"}, cameras=("/y/camera_info", "/x/camera_info")))
-    assert found.intrinsics == "/x/camera_info"
+    chosen = roles(scan_of({"/image": "rgb8"}, cameras=("/y/camera_info", "/x/camera_info")))
+    assert chosen.intrinsics == "/x/camera_info"
 
 
 def test_without_colour_there_are_no_intrinsics() -> None:
@@ -190,29 +190,29 @@ def test_without_colour_there_are_no_intrinsics() -> None:
 
 def test_hand_joints_by_name_then_count() -> None:
     """Catches the arm's controller state in place of joint states."""
-    found = roles(scan_of(joints=("/a/state", "/z/joint_states"), counts={"/a/state": 90}))
-    assert found.hand_joints == "/z/joint_states"
-    assert found.passed_over == {"hand_joints": ["/a/state"]}
+    chosen = roles(scan_of(joints=("/a/state", "/z/joint_states"), counts={"/a/state": 90}))
+    assert chosen.hand_joints == "/z/joint_states"
+    assert chosen.passed_over == {"hand_joints": ["/a/state"]}
     assert roles(scan_of(joints=("/a", "/b"), counts={"/b": 11})).hand_joints == "/b"
     assert roles(scan_of(joints=("/b", "/a"))).hand_joints == "/a"
 
 
 @pytest.mark.parametrize("name", ["/Camera/pose", "/cam_pose", "/odom"])
 def test_the_cameras_pose_by_name(name: str) -> None:
-    found = roles(scan_of(poses=("/target", name)))
-    assert (found.camera_pose, found.hand_pose) == (name, None)
+    chosen = roles(scan_of(poses=("/target", name)))
+    assert (chosen.camera_pose, chosen.hand_pose) == (name, None)
 
 
 @pytest.mark.parametrize("name", ["/palm", "/Hand/pose", "/gripper", "/tcp", "/ee_pose"])
 def test_the_hands_pose_by_name(name: str) -> None:
-    found = roles(scan_of(poses=("/target", name)))
-    assert (found.camera_pose, found.hand_pose) == (None, name)
+    chosen = roles(scan_of(poses=("/target", name)))
+    assert (chosen.camera_pose, chosen.hand_pose) == (None, name)
 
 
 def test_poses_in_the_order_of_their_names() -> None:
-    found = roles(scan_of(poses=("/tcp", "/hand", "/odom", "/camera")))
-    assert (found.camera_pose, found.hand_pose) == ("/camera", "/hand")
-    assert found.passed_over == {"camera_pose": ["/odom"], "hand_pose": ["/tcp"]}
+    chosen = roles(scan_of(poses=("/tcp", "/hand", "/odom", "/camera")))
+    assert (chosen.camera_pose, chosen.hand_pose) == ("/camera", "/hand")
+    assert chosen.passed_over == {"camera_pose": ["/odom"], "hand_pose": ["/tcp"]}
 
 
 # configured, missing
@@ -227,8 +227,8 @@ def test_a_configured_topic_wins(role: str) -> None:
     """
     images = {"/rgb": "rgb8", "/rgb2": "rgb8", "/depth": "16UC1", "/depth2": "16UC1", "/mask": "?"}
     joints, poses = ("/joint_states", "/b"), ("/camera", "/odom", "/hand", "/tcp")
-    found = scan_of(images, cameras=("/camera_info",), joints=joints, poses=poses)
-    usual, chosen = roles(found), roles(found, **{role: "/mask"})
+    scanned = scan_of(images, cameras=("/camera_info",), joints=joints, poses=poses)
+    usual, chosen = roles(scanned), roles(scanned, **{role: "/mask"})
     for other in ALL:
         assert getattr(chosen, other) == ("/mask" if other == role else getattr(usual, other))
     assert chosen.passed_over == {k: v for k, v in usual.passed_over.items() if k != role}
@@ -239,13 +239,13 @@ def test_a_configured_topic_must_be_recorded(role: str) -> None:
     """Catches a typing error that is met in silence; the message names the role, and the topics
     there are.
     """
-    found = scan_of({"/rgb": "rgb8"}, joints=("/joint_states",), counts={"/rgb": 7})
+    scanned = scan_of({"/rgb": "rgb8"}, joints=("/joint_states",), counts={"/rgb": 7})
     expected = (
         f"roles.{role} = '/rbg' is not in the recording, which has: "
         "/joint_states (sensor_msgs/msg/JointState, 10); /rgb (sensor_msgs/msg/Image, 7)"
     )
     with pytest.raises(UsageError) as caught:
-        roles(found, **{role: "/rbg"})
+        roles(scanned, **{role: "/rbg"})
     assert caught.value.what == expected
     assert caught.value.exit_code == 2
 

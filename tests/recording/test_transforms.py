@@ -1,4 +1,4 @@
-"""Catches: tf composed in the wrong order, extrapolation in silence, gaps bridged, joints of the description misread."""
+"""Catches: tf composed in the wrong order, poses extrapolated, gaps bridged, joints misread."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ def pose(x: float, yaw: float = 0.0) -> np.ndarray:
 
 
 def test_lookup_composes_from_root_to_leaf() -> None:
+    """Fails where transforms are multiplied in the wrong order."""
     tree = TransformTree()
     tree.add_static("base", "arm", matrix_from_pose(pose(1.0, np.pi / 2)))
     tree.add_moving(0, "arm", "camera", pose(2.0))
@@ -40,6 +41,7 @@ def test_lookup_composes_from_root_to_leaf() -> None:
 
 
 def test_siblings_meet_at_their_common_frame() -> None:
+    """Fails where a lookup only goes up to the root, or connects separate trees."""
     tree = TransformTree()
     tree.add_static("base", "left", matrix_from_pose(pose(1.0)))
     tree.add_static("base", "right", matrix_from_pose(pose(-2.0)))
@@ -50,6 +52,7 @@ def test_siblings_meet_at_their_common_frame() -> None:
 
 
 def test_nothing_is_extrapolated_and_long_gaps_stay_open() -> None:
+    """Fails where a pose is made up outside the samples or across a long gap."""
     track = Track()
     for t, x in ((0, 0.0), (100_000, 1.0), (900_000_000, 5.0)):
         track.add(t, pose(x))
@@ -63,6 +66,7 @@ def test_nothing_is_extrapolated_and_long_gaps_stay_open() -> None:
 
 
 def test_a_cycle_in_tf_ends() -> None:
+    """Fails where frames that are each other's parents never end a lookup."""
     tree = TransformTree()
     tree.add_static("a", "b", np.eye(4))
     tree.add_static("b", "a", np.eye(4))
@@ -71,6 +75,7 @@ def test_a_cycle_in_tf_ends() -> None:
 
 
 def test_a_second_parent_is_counted_and_not_used() -> None:
+    """Fails where a frame changes its parent without a count."""
     tree = TransformTree()
     tree.add_moving(0, "base", "camera", pose(1.0))
     tree.add_moving(1, "other", "camera", pose(9.0))
@@ -80,6 +85,7 @@ def test_a_second_parent_is_counted_and_not_used() -> None:
 
 @given(st.permutations(list(range(8))))
 def test_order_of_arrival_does_not_matter(order: list[int]) -> None:
+    """Fails where late messages are lost or put in the wrong place."""
     track = Track()
     for i in order:
         track.add(i * 10, pose(float(i)))
@@ -88,15 +94,15 @@ def test_order_of_arrival_does_not_matter(order: list[int]) -> None:
 
 
 def test_same_tf_from_bag_and_db3(real_data: Path) -> None:
-    """The same log in two containers must give the same transforms."""
-    found = [scan(open_container(real_data / name)) for name in ("tf_example.bag", "tf_example")]
-    a, b = (sorted((e.t_ns, e.parent, e.child, tuple(e.pose)) for e in s.tf) for s in found)
+    """Fails where the same log in two containers gives different transforms."""
+    scans = [scan(open_container(real_data / name)) for name in ("tf_example.bag", "tf_example")]
+    a, b = (sorted((e.t_ns, e.parent, e.child, tuple(e.pose)) for e in s.tf) for s in scans)
     assert len(a) > 500
     assert a == b
 
 
 def test_description_forward_kinematics_against_pinocchio() -> None:
-    """An independent library on the demo's robot, every link at many postures."""
+    """Fails where a link differs from an independent library at any of nine postures."""
     pin = pytest.importorskip("pinocchio")
     description = load_description(urdf(), "demo", (), 0.01)
     model = pin.buildModelFromXML(urdf())
@@ -130,34 +136,41 @@ def _camera(description: object, q: dict[str, float]) -> np.ndarray:
 
 
 def test_mimic_joints_follow() -> None:
+    """Fails where multiplier or offset of a mimic joint is not applied."""
     text = """<robot name="m"><link name="a"/><link name="b"/><link name="c"/>
       <joint name="j1" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
         <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
       <joint name="j2" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
-        <mimic joint="j1" multiplier="2" offset="0.1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+        <mimic joint="j1" multiplier="2" offset="0.1"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
     joint = load_description(text, "m", (), 0.01).joints["c"]
     assert joint.follows == "j1"
     assert np.allclose(joint.at(0.2)[:3, :3], Rotation.from_rotvec([0, 0, 0.5]).as_matrix())
 
 
-def test_missing_meshes_become_capsules_and_are_told() -> None:
-    text = """<robot name="m"><link name="a"><visual><geometry><mesh filename="package://x/a.stl"/></geometry></visual></link>
+def test_missing_meshes_become_capsules_with_a_note() -> None:
+    """Fails where a link without its mesh has no shape, or nobody learns of it."""
+    text = """<robot name="m"><link name="a">
+      <visual><geometry><mesh filename="package://x/a.stl"/></geometry></visual></link>
       <link name="b"/>
-      <joint name="j" type="fixed"><parent link="a"/><child link="b"/><origin xyz="0 0.3 0.4"/></joint></robot>"""
-    found = load_description(text, "m", (), 0.02)
-    capsule = found.shapes["a"][0]
+      <joint name="j" type="fixed"><parent link="a"/><child link="b"/>
+        <origin xyz="0 0.3 0.4"/></joint></robot>"""
+    description = load_description(text, "m", (), 0.02)
+    capsule = description.shapes["a"][0]
     assert (capsule.kind, capsule.size) == ("capsule", (0.02, pytest.approx(0.25)))
     tip = capsule.T_link_shape @ np.array([0, 0, 0.25, 1])
     assert np.allclose(tip[:3], [0, 0.3, 0.4])
-    assert "capsules" in found.notes[0]
+    assert "capsules" in description.notes[0]
 
 
 def test_a_description_that_is_none_is_a_usage_error() -> None:
+    """Fails where a wrong file ends in an internal error."""
     with pytest.raises(UsageError, match="not a URDF"):
         load_description("<html>", "somewhere", (), 0.01)
 
 
 def test_joint_track_survives_reordered_names_and_missing_values() -> None:
+    """Fails where joints are read by place instead of by name."""
     samples = [
         JointSample(0, {"a": 0.0, "b": 1.0}),
         JointSample(10, {"b": 2.0, "a": 1.0}),
@@ -174,5 +187,6 @@ def test_joint_track_survives_reordered_names_and_missing_values() -> None:
     "text", ["", "{", "[]", '{"event": 3}', '{"event": "close", "t_ns": "now"}']
 )
 def test_malformed_events_are_refused(text: str) -> None:
+    """Fails where an event without a kind or with a wrong time is used."""
     with pytest.raises(ValueError, match=r"."):
         event_of(text, 0)

@@ -1,4 +1,4 @@
-"""Catches: a window cut at the wrong image, events of another trial, lost frames miscounted, a recording hashed twice."""
+"""Catches: a window cut at the wrong image, another trial's events, a recording hashed twice."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ REGULAR = pairing([0, 100, 200, 300, 400], [0, 100, 200, 400], "sync.tolerance_s
 
 
 def test_a_window_by_time_includes_both_ends_and_counts_what_has_no_partner() -> None:
-    """Fails at an open end of the interval, and where images outside the window count as unmatched."""
+    """Fails where an end is left out, or images outside the window count as unmatched."""
     window = window_of(REGULAR, TrialSpec("a", FILE, start_ns=100, end_ns=300), [])
     assert [p.t_ns for p in window.pairs] == [100, 200]
     assert (window.start_ns, window.end_ns) == (100, 300)
@@ -91,7 +91,7 @@ def test_an_empty_window_names_the_damage() -> None:
 
 
 def test_events_end_a_second_after_the_window_but_not_after_the_trial() -> None:
-    """Fails where the next trial's start is taken in, or the end written after the last image is lost."""
+    """Fails where the next trial's events are taken, or the end after the last image is lost."""
     every = [Event(t, CLOSE_EVENT, {}) for t in (9, 10, 20, 20 + AFTER_NS, 21 + AFTER_NS)]
     inside = [e.t_ns for e in events_within(every, 10, 20, None)]
     assert inside == [10, 20, 20 + AFTER_NS]

@@ -1,4 +1,4 @@
-"""Catches: manifests read loosely, trials cut at the wrong frame, a changed recording taken for the named one."""
+"""Catches: manifests read loosely, trials cut at the wrong frame, a changed recording accepted."""
 
 from __future__ import annotations
 
@@ -23,11 +23,17 @@ STEP = 50_000_000
 
 
 def image(t_ns: int, array: np.ndarray, encoding: str) -> object:
+    channels = array.shape[2] if array.ndim == 3 else 1
     return message(
-        "sensor_msgs/Image", header=header(t_ns, "camera"), height=array.shape[0], width=array.shape[1], encoding=encoding,
-        is_bigendian=0, step=array.shape[1] * array.itemsize * (array.shape[2] if array.ndim == 3 else 1),
+        "sensor_msgs/Image",
+        header=header(t_ns, "camera"),
+        height=array.shape[0],
+        width=array.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=array.shape[1] * array.itemsize * channels,
         data=np.ascontiguousarray(array).view(np.uint8).ravel(),
-    )  # fmt: skip
+    )
 
 
 def entries(n: int, events: dict[int, dict[str, object]]) -> list[tuple[int, str, object]]:
@@ -55,25 +61,33 @@ def recording(tmp_path: Path) -> Path:
 
 
 def test_events_cut_a_recording_into_trials(recording: Path) -> None:
+    """Fails where a trial starts or ends a frame off its event, or frames keep old indices."""
     specs = find_trials([recording])
     assert [s.id for s in specs] == ["three#0", "three#1"]
-    shown = [[int(f.colour[0, 0, 0]) for f in open_trial(s, load_config()).frames()] for s in specs]
-    assert shown == [[2, 3, 4, 5], [8, 9, 10, 11]]
+    grey_values = [
+        [int(f.colour[0, 0, 0]) for f in open_trial(s, load_config()).frames()] for s in specs
+    ]
+    assert grey_values == [[2, 3, 4, 5], [8, 9, 10, 11]]
     frame = next(open_trial(specs[1], load_config()).frames())
     assert (frame.index, frame.t_ns) == (0, START + 8 * STEP)
     assert frame.depth[0, 0] == pytest.approx(0.508)
 
 
 def test_folder_of_recordings_gives_ids_by_place(recording: Path, tmp_path: Path) -> None:
+    """Fails where recordings of the same name in two folders get the same id."""
     (tmp_path / "sub").mkdir()
     recording.rename(tmp_path / "sub" / "a.mcap")
     assert [s.id for s in find_trials([tmp_path])] == ["sub/a#0", "sub/a#1"]
 
 
 def test_manifest_with_frames_label_and_sha(recording: Path, tmp_path: Path) -> None:
+    """Fails where the manifest's fields are not used, or another recording is accepted."""
     manifest = tmp_path / "m.toml"
     good = sha256_of(recording)
-    text = '[[trial]]\nid = "x"\nrecording = "three.mcap"\nframes = [1, 3]\nlabel = "failure"\nsha256 = "{}"\n'
+    text = (
+        '[[trial]]\nid = "x"\nrecording = "three.mcap"\nframes = [1, 3]\n'
+        'label = "failure"\nsha256 = "{}"\n'
+    )
     manifest.write_text(text.format(good))
     spec = find_trials([manifest])[0]
     assert (spec.id, spec.label, spec.frames) == ("x", "failure", (1, 3))
@@ -85,6 +99,7 @@ def test_manifest_with_frames_label_and_sha(recording: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("line", ["bbx = [1, 2, 3, 4]", "frames = [1]", "speed = 'fast'"])
 def test_manifest_mistakes_are_named(recording: Path, tmp_path: Path, line: str) -> None:
+    """Fails where a mistyped key or a wrong type is ignored."""
     manifest = tmp_path / "m.toml"
     manifest.write_text(f'[[trial]]\nrecording = "three.mcap"\n{line}\n')
     with pytest.raises(UsageError, match="manifest: trial"):
@@ -92,12 +107,13 @@ def test_manifest_mistakes_are_named(recording: Path, tmp_path: Path, line: str)
 
 
 def test_ids_must_be_unique(recording: Path) -> None:
+    """Fails where two trials write into the same files."""
     with pytest.raises(UsageError, match="not unique"):
         find_trials([recording, recording])
 
 
 def test_topics_grouped_in_the_file_need_no_order(tmp_path: Path) -> None:
-    """Chunks that overlap in time are merged: messages come in log-time order whatever the file's order."""
+    """Fails where chunks that overlap in time are not merged into log-time order."""
     path = tmp_path / "grouped.mcap"
     with McapWriter(path, chunk_size=600) as writer:
         for t, topic, value in sorted(entries(10, {}), key=lambda e: e[1]):
@@ -111,6 +127,7 @@ def test_topics_grouped_in_the_file_need_no_order(tmp_path: Path) -> None:
 
 
 def test_same_messages_from_mcap_bag_and_db3(tmp_path: Path) -> None:
+    """Fails where a container changes a stamp or a pixel."""
     from rosbags.rosbag1 import Writer as BagWriter
     from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as FolderWriter
@@ -147,7 +164,7 @@ def test_same_messages_from_mcap_bag_and_db3(tmp_path: Path) -> None:
             old = types["sensor_msgs/msg/Image"](header=head, **fields)
             bag.write(connections1[topic], t, ros1.serialize_ros1(old, "sensor_msgs/msg/Image"))
     config = load_config("dynamic", ("calibration.intrinsics=[20.0, 20.0, 8.0, 6.0]",))
-    seen = []
+    by_container = []
     for path in (
         tmp_path / "a.mcap",
         tmp_path / "folder",
@@ -155,12 +172,13 @@ def test_same_messages_from_mcap_bag_and_db3(tmp_path: Path) -> None:
         tmp_path / "a.bag",
     ):
         frames = list(open_trial(find_trials([path])[0], config).frames())
-        seen.append([(f.t_ns, f.colour.tobytes(), f.depth.tobytes()) for f in frames])
-    assert len(seen[0]) == 6
-    assert seen[0] == seen[1] == seen[2] == seen[3]
+        by_container.append([(f.t_ns, f.colour.tobytes(), f.depth.tobytes()) for f in frames])
+    assert len(by_container[0]) == 6
+    assert all(frames == by_container[0] for frames in by_container[1:])
 
 
-def test_missing_depth_is_said_with_what_is_there(tmp_path: Path) -> None:
+def test_missing_depth_is_an_error_that_lists_the_topics(tmp_path: Path) -> None:
+    """Fails where the user has to guess which topic to name."""
     path = tmp_path / "blind.mcap"
     with McapWriter(path) as writer:
         for t, topic, value in entries(3, {}):

@@ -1,7 +1,8 @@
-"""One face for every container: topics, and messages in log-time order. The error boundary of the recording layer.
+"""One interface for every container format: its topics, and its messages in log-time order.
 
-Nothing but dgeval's errors passes out of here. What can be read before a fault is an exact prefix; the fault is kept in
-`Container.damage`, and the caller decides what it costs.
+This is the error boundary of the recording layer: only dgeval's own errors pass out of here. The
+messages before a fault are read exactly as stored. The fault is kept in `Container.damage`, and the
+caller decides what it costs.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic of a recording. `count` is what the file's own statistics say, None where it has none."""
+    """One topic of a recording. `count` is from the file's own statistics, None without them."""
 
     name: str
     type: str
@@ -30,7 +31,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """One message as stored: topic, log time in ns, its undecoded bytes, byte offset of its chunk or None."""
+    """One message as stored: topic, log time, ns, bytes, and byte offset of its chunk or None."""
 
     topic: str
     log_ns: int
@@ -39,7 +40,7 @@ class RawMessage:
 
 
 class Container(Protocol):
-    """What a recording's file has to offer. `messages` may be called any number of times."""
+    """What a container format implements. `messages` may be called any number of times."""
 
     path: Path
     kind: str
@@ -54,7 +55,10 @@ class Container(Protocol):
 
 @dataclass
 class Opened:
-    """A container with the checks that hold for all of them: counts against statistics, decoding with a place."""
+    """A container with the checks that are the same for every format.
+
+    Messages read are counted against the file's statistics; decoding errors name topic and time.
+    """
 
     container: Container
     path: Path
@@ -84,13 +88,13 @@ class Opened:
         if self.damage:
             return
         for name, count in counts.items():
-            said = self.topics[name].count
-            if said is not None and said != count:
-                what = f"the file's statistics promise {said} messages, {count} were read"
+            promised = self.topics[name].count
+            if promised is not None and promised != count:
+                what = f"the file's statistics promise {promised} messages, {count} were read"
                 self.damage.append(Damage(what, Place(str(self.path), name), last_ns))
 
     def decode(self, message: RawMessage) -> Any:
-        """The message as an object with the fields of its type; UndecodableError names topic and time."""
+        """A message as an object with its type's fields. UndecodableError names topic and time."""
         try:
             return self.topics[message.topic].decode(message.data)
         except UndecodableError:
@@ -103,7 +107,7 @@ class Opened:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, or of a folder's recording files in name order (each by name and content)."""
+    """SHA-256 of a file; of a folder over names and contents of its files, in name order."""
     files = (
         [path]
         if path.is_file()

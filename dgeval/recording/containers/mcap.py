@@ -1,8 +1,8 @@
-"""MCAP of any profile, with every checksum on.
+"""MCAP files of any profile, with every checksum verified.
 
-Two ways through the file. With an intact summary the chunks are taken in the order of their start
-times and merged, so that memory holds the chunks that overlap and no more. Without one the file is
-read from the front until it ends or breaks.
+A file with an intact summary is read by its index: chunks in the order of their start times, merged
+where they overlap, so that memory holds only chunks that overlap. A file without one is read from
+the front until it ends or breaks.
 """
 
 from __future__ import annotations
@@ -26,26 +26,46 @@ from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, desc
 from dgeval.recording.containers.container import MCAP_MAGIC, RawMessage, Topic
 from dgeval.recording.encodings import decoders
 
-FOOTER_LENGTH = 1 + 8 + 20
-MAX_CHUNK_BYTES = 1 << 30
-# what may stand before the end of the data section
+FOOTER_LENGTH = 1 + 8 + 20  # bytes: kind, length and content of the footer record, MCAP format
+MAX_CHUNK_BYTES = 1 << 30  # bytes, uncompressed; a larger claim is taken for damage
+# kinds of record that may stand before the end of the data section
 DATA_KINDS = frozenset(
     int(k)
     for k in (
-        Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
-        Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END,
+        Opcode.HEADER,
+        Opcode.SCHEMA,
+        Opcode.CHANNEL,
+        Opcode.MESSAGE,
+        Opcode.CHUNK,
+        Opcode.MESSAGE_INDEX,
+        Opcode.ATTACHMENT,
+        Opcode.METADATA,
+        Opcode.DATA_END,
     )
-)  # fmt: skip
+)
 
-# What the mcap, zstd and lz4 libraries raise on broken bytes (measured on the damaged corpus of the tests).
+# What the mcap, zstd and lz4 libraries raise on broken bytes; collected on the damaged files of the
+# tests (tests/recording/damage.py).
 BROKEN = (
-    mcap.exceptions.McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, KeyError,
-    IndexError, MemoryError, OverflowError, EOFError, OSError,
-)  # fmt: skip
+    mcap.exceptions.McapError,
+    CRCValidationError,
+    zstandard.ZstdError,
+    struct.error,
+    ValueError,
+    RuntimeError,
+    KeyError,
+    IndexError,
+    MemoryError,
+    OverflowError,
+    EOFError,
+    OSError,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class _Chunk:
+    """An entry of the chunk index: first and last log time, ns; offset and length, bytes."""
+
     start_ns: int
     end_ns: int
     offset: int
@@ -53,7 +73,7 @@ class _Chunk:
 
 
 class McapContainer:
-    """An MCAP file. `checksums` says what in it is protected."""
+    """An MCAP file. `checksums` says in words which parts have a CRC."""
 
     kind = "MCAP"
 
@@ -71,7 +91,10 @@ class McapContainer:
         try:
             counts = self._read_summary()
         except BROKEN as error:
-            what = f"the summary at the end can't be used ({describe(error)}), so the file is read from the front"
+            what = (
+                f"the summary at the end can't be used ({describe(error)}), "
+                "so the file is read from the front"
+            )
             self.damage.append(Damage(what, self._place(offset=self._size)))
             self._schemas, self._channels, self._chunks, counts = {}, {}, None, {}
         if self._chunks is None:
@@ -91,7 +114,7 @@ class McapContainer:
         return "CRC-32 per chunk, checked"
 
     def _read_summary(self) -> dict[int, int]:
-        """Fill schemas, channels and chunk list from the summary; message counts per channel id."""
+        """Fill schemas, channels and chunk list from the summary; gives messages by channel id."""
         with self.path.open("rb") as stream:
             header = next(iter(StreamReader(stream, record_size_limit=self._size).records))
             if isinstance(header, mcap.records.Header):
@@ -157,7 +180,7 @@ class McapContainer:
         return counts
 
     def _scan_front(self, counts: dict[int, int]) -> dict[int, int]:
-        """No usable index: learn schemas and channels by reading once, and check what can be checked on the way."""
+        """Without a usable index: read the file once for its schemas and channels, and check it."""
         for _ in self._sequential(None):
             pass
         return counts
@@ -225,7 +248,7 @@ class McapContainer:
             yield from pending
 
     def _fault(self, damage: Damage) -> None:
-        """Keep a fault once; a pass that got messages knows from when on they are lost."""
+        """Keep a fault once, with the time from which messages are lost where a pass tells it."""
         for i, known in enumerate(self.damage):
             if (known.what, known.place) == (damage.what, damage.place):
                 self.damage[i] = damage if known.lost_from_ns is None else known
@@ -272,14 +295,18 @@ class McapContainer:
         return None
 
     @staticmethod
-    def _agree(known: Any, seen: Any) -> None:
-        if known != seen:
+    def _agree(known: Any, record: Any) -> None:
+        """McapError where a schema or channel is defined twice and differently."""
+        if known != record:
             raise mcap.exceptions.McapError(
-                f"the summary and the data disagree on {type(seen).__name__.lower()} {seen.id}"
+                f"the summary and the data disagree on {type(record).__name__.lower()} {record.id}"
             )
 
     def _sequential(self, topics: frozenset[str] | None) -> Iterator[RawMessage]:
-        """Front to back; stops with a Damage at the first fault. Chunks are sorted inside, not across."""
+        """Messages front to back, up to the first fault, which is kept as damage.
+
+        Messages are sorted by log time within a chunk, not across chunks.
+        """
         last_ns: int | None = None
         offset = 0
         with self.path.open("rb") as stream:
@@ -320,7 +347,11 @@ class McapContainer:
                 self._fault(Damage(what, self._place(offset), last_ns))
 
     def _check_kinds(self, stream: IO[bytes], start: int) -> None:
-        """The reader passes over records it has no use for in silence; a flipped kind would take its chunk along."""
+        """McapError for a kind of record that can't stand in the data section.
+
+        The mcap library skips kinds it doesn't know; a chunk with a damaged kind would be lost
+        without a message.
+        """
         end = stream.tell()
         stream.seek(start)
         kind = stream.read(1)[0]
@@ -334,7 +365,7 @@ class McapContainer:
 
 
 def _expand(chunk: mcap.records.Chunk) -> bytes:
-    """A chunk's bytes, never more than it claims: a few bytes can expand to gigabytes."""
+    """A chunk's uncompressed bytes, never more than it claims, as damage expands to gigabytes."""
     size = chunk.uncompressed_size
     if chunk.compression == "":
         data = chunk.data

@@ -1,4 +1,4 @@
-"""Which reader a recording needs, by its first bytes."""
+"""Chooses the reader of a recording by its first bytes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ SQLITE_MAGIC = b"SQLite format 3\x00"
 
 
 def open_container(path: Path) -> Opened:
-    """Open a recording by its content: MCAP, ROS 1 bag, ROS 2 folder, bare .db3. UnreadableError says why not."""
+    """Open a recording by its content: MCAP, ROS 1 bag, ROS 2 folder or bare .db3.
+
+    UnreadableError says why it can't be opened.
+    """
     from dgeval.recording.containers.mcap import McapContainer
     from dgeval.recording.containers.rosbags import RosbagsContainer
 

@@ -1,4 +1,4 @@
-"""ROS 1 `.bag`, ROS 2 SQLite folders and bare `.db3`, read with rosbags. None of them has checksums."""
+"""ROS 1 `.bag`, ROS 2 SQLite folders and bare `.db3`, read with rosbags. They have no checksums."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ORPHANS = "SELECT COUNT(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM t
 
 
 class RosbagsContainer:
-    """A `.bag` or `.db3` recording. A flipped bit in it can't be noticed: only a manifest's sha256 tells."""
+    """A `.bag` or `.db3` recording. Changed bytes show only against the SHA-256 of a manifest."""
 
     checksums = "none in this format: only a manifest with sha256 can tell changed bytes"
 
@@ -74,7 +74,10 @@ class RosbagsContainer:
         return reader
 
     def _check_sqlite(self) -> None:
-        """SQLite's own structural check: finds pages that a cut or a zeroed block destroyed, not changed contents."""
+        """UnreadableError where SQLite's structural check fails.
+
+        It finds pages that a cut or a zeroed block destroyed, not changed contents.
+        """
         files = sorted(self._source.glob("*.db3")) if self._source.is_dir() else [self._source]
         for file in files:
             try:
@@ -95,11 +98,12 @@ class RosbagsContainer:
                 raise UnreadableError(f"the SQLite file is damaged ({verdict})", Place(str(file)))
 
     def _check_bag(self) -> None:
-        """What the bag says of itself twice must agree: chunks and where they are, messages per connection in each.
+        """Compare the index with the chunks: their number, places, and messages per connection.
 
-        Reading goes by the index at the end, so an index that has lost chunks would lose their messages in silence.
+        A bag is read by the index at its end. An index that has lost chunks would lose their
+        messages without an error.
         """
-        said, infos = None, 0
+        n_promised, n_indexed = None, 0
         held: dict[tuple[int, int], int] = {}
         listed: dict[tuple[int, int], int] = {}
         chunks: list[int] = []
@@ -107,13 +111,13 @@ class RosbagsContainer:
             for at, fields, data in _bag_records(self._source):
                 kind = fields[b"op"][0]
                 if kind == BAG_HEADER:
-                    said = _number(fields[b"chunk_count"])
+                    n_promised = _number(fields[b"chunk_count"])
                 elif kind == CHUNK:
                     chunks.append(at)
                 elif kind == INDEX_DATA:
                     held[chunks[-1], _number(fields[b"conn"])] = _number(fields[b"count"])
                 elif kind == CHUNK_INFO:
-                    infos += 1
+                    n_indexed += 1
                     if _number(fields[b"count"]) * 8 != len(data):
                         raise ValueError("a chunk's summary is not as long as it says")
                     for i in range(0, len(data), 8):
@@ -124,13 +128,16 @@ class RosbagsContainer:
             what = f"its records don't follow one another ({describe(error)})"
             self.damage.append(Damage(what, Place(str(self.path))))
             return
-        if not said == infos == len(chunks) or held != listed:
-            counts = f"{said} chunks in the header, {len(chunks)} in the file"
-            what = f"the bag contradicts itself ({counts}; the index and the chunks list different messages)"
+        if not n_promised == n_indexed == len(chunks) or held != listed:
+            counts = f"{n_promised} chunks in the header, {len(chunks)} in the file"
+            what = (
+                f"the bag contradicts itself ({counts}; "
+                "the index and the chunks list different messages)"
+            )
             self.damage.append(Damage(what, Place(str(self.path))))
 
     def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]:
-        """Messages of the topics in log-time order; a fault ends the pass and is kept in `damage`."""
+        """Messages of the topics in log-time order; a fault ends them and is kept in `damage`."""
         reader = self._open()
         last_ns: int | None = None
         try:
@@ -162,7 +169,10 @@ class RosbagsContainer:
 
 
 def _bag_records(path: Path) -> Iterator[tuple[int, dict[bytes, bytes], bytes]]:
-    """Place, header fields and data of a ROS 1 bag's top-level records; only indexes have data. ValueError if broken."""
+    """Byte offset, header fields and data of the top-level records of a ROS 1 bag.
+
+    The data of other records than chunk indexes are skipped. ValueError for a broken record.
+    """
     size = path.stat().st_size
     with path.open("rb") as stream:
         stream.readline()
@@ -187,7 +197,7 @@ def _bag_records(path: Path) -> Iterator[tuple[int, dict[bytes, bytes], bytes]]:
 
 
 def _is_time(value: object) -> bool:
-    """SQLite stores what it is given: a time may be text or a float there."""
+    """Whether a log time is one: SQLite stores any type, a time may be a text or a float there."""
     return isinstance(value, int) and 0 <= value < 1 << 63
 
 

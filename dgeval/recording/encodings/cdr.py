@@ -12,7 +12,7 @@ ENCODES = ("cdr", "ros2msg")  # message encoding, schema encoding
 
 
 def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
-    """A function that turns the bytes of one message into an object with its fields."""
+    """The function that decodes one message's bytes into an object with the type's fields."""
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(schema.decode(), type_name))
     return partial(store.deserialize_cdr, typename=type_name)

@@ -12,7 +12,7 @@ ENCODES = ("ros1", "ros1msg")  # message encoding, schema encoding
 
 
 def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
-    """A function that turns the bytes of one message into an object with its fields."""
+    """The function that decodes one message's bytes into an object with the type's fields."""
     store = get_typestore(Stores.EMPTY)
     normal = type_name if "/msg/" in type_name else type_name.replace("/", "/msg/", 1)
     store.register(get_types_from_msg(schema.decode(), normal))

@@ -21,7 +21,10 @@ def accepts(message: Any) -> bool:
 
 
 def decode(message: Any) -> Pixels:
-    """OpenCV gives blue first; 16-bit single-channel images are depth. ValueError when the bytes are not an image."""
+    """Pixels as OpenCV gives them, blue first; 16-bit single-channel images are depth.
+
+    ValueError where the bytes are not an image.
+    """
     data = bytes(memoryview(message.data))
     if data.startswith(JPEG_START):
         if JPEG_END not in data[-64:]:

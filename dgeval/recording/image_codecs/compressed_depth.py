@@ -1,7 +1,8 @@
-"""compressedDepth of ROS image_transport: 12 bytes of configuration, then a PNG (16UC1, or 32FC1 as inverse depth).
+"""compressedDepth of ROS image_transport: 12 bytes of configuration, then a PNG.
 
-The format text varies between ROS versions ("16UC1; compressedDepth", "… png", "… rvl"), so the PNG is found by its
-signature. RVL is a further codec.
+The PNG holds 16UC1 as it is, or 32FC1 as quantised inverse depth. The format text varies between
+ROS versions ("16UC1; compressedDepth", "… png", "… rvl"), so the PNG is found by its signature. RVL
+would be a further codec.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from dgeval.recording.image_codecs.compressed import PNG_START
 from dgeval.recording.image_codecs.pixels import Pixels
 
-HEADER_BYTES = 12
+HEADER_BYTES = 12  # ConfigHeader of compressed_depth_image_transport: format, a, b
 
 
 ORDER = 20  # kinds with a lower number are asked first
@@ -26,7 +27,10 @@ def accepts(message: Any) -> bool:
 
 
 def decode(message: Any) -> Pixels:
-    """16UC1 as stored; 32FC1 from the quantised inverse depth, z = a / (code - b), code 0 = none."""
+    """16UC1 as stored; 32FC1, m, from inverse depth: z = a / (code - b), code 0 = no reading.
+
+    ValueError where the PNG or the header is missing or cut.
+    """
     data = bytes(memoryview(message.data))
     start = data.find(PNG_START, 0, 64)
     if start < 0:

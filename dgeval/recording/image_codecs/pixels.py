@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Pixels:
-    """Decoded pixels (H, W) or (H, W, C) and what they are, in the words of sensor_msgs (rgb8, 16UC1, …)."""
+    """Decoded pixels (H, W) or (H, W, C) and their encoding by sensor_msgs (rgb8, 16UC1, …)."""
 
     array: NDArray[Any]
     encoding: str

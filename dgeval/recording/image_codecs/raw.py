@@ -8,11 +8,20 @@ import numpy as np
 
 from dgeval.recording.image_codecs.pixels import Pixels
 
+# sensor_msgs encodings: type of an element, elements per pixel
 LAYOUTS = {
-    "rgb8": (np.uint8, 3), "bgr8": (np.uint8, 3), "rgba8": (np.uint8, 4), "bgra8": (np.uint8, 4), "mono8": (np.uint8, 1),
-    "8UC1": (np.uint8, 1), "8UC3": (np.uint8, 3), "16UC1": (np.uint16, 1), "mono16": (np.uint16, 1),
-    "Z16": (np.uint16, 1), "32FC1": (np.float32, 1),
-}  # fmt: skip
+    "rgb8": (np.uint8, 3),
+    "bgr8": (np.uint8, 3),
+    "rgba8": (np.uint8, 4),
+    "bgra8": (np.uint8, 4),
+    "mono8": (np.uint8, 1),
+    "8UC1": (np.uint8, 1),
+    "8UC3": (np.uint8, 3),
+    "16UC1": (np.uint16, 1),
+    "mono16": (np.uint16, 1),
+    "Z16": (np.uint16, 1),
+    "32FC1": (np.float32, 1),
+}
 
 
 ORDER = 10  # kinds with a lower number are asked first
@@ -23,7 +32,7 @@ def accepts(message: Any) -> bool:
 
 
 def decode(message: Any) -> Pixels:
-    """Raises ValueError for an unknown encoding or a size that contradicts the header."""
+    """ValueError for an unknown encoding, or fewer bytes than the header needs."""
     if message.encoding not in LAYOUTS:
         raise ValueError(f"image encoding {message.encoding!r} is not one of {', '.join(LAYOUTS)}")
     dtype, channels = LAYOUTS[message.encoding]
