@@ -15,10 +15,10 @@ import numpy as np
 import pandas as pd
 from dgeval.config import load_config
 from dgeval.geometry import invert, matrix_from_pose, rotation_angle
-from dgeval.perception.pipeline import POSE as POSE_NAMES
 from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.messages import poses_of
 from dgeval.recording.trials import open_trial
+from dgeval.replay.row import POSE as POSE_NAMES
 from dgeval.runs.files import file_name
 from matplotlib import rc_context
 from matplotlib.figure import Figure

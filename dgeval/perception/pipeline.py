@@ -3,37 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from dgeval.config import Config
 from dgeval.determinism import generator
-from dgeval.geometry import Array, invert, orthonormalise, pose_from_matrix, transform
+from dgeval.geometry import Array, invert, orthonormalise, transform
 from dgeval.perception.estimation import Estimate, VelocityFilter
 from dgeval.perception.fusion import Fusion
 from dgeval.perception.observation import observe
 from dgeval.perception.registration import gate, register
 from dgeval.perception.trackers import tracker_named
 from dgeval.perception.trackers.model import TrackingInput
-from dgeval.perception.types import Model, Observation, Registration, Tracked
+from dgeval.perception.types import Fused, Model, Observation, Registration, Tracked
 from dgeval.recording.frame import Frame
 
-POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
 Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class Perceived:
-    """What one frame gave: its columns, the image tracker's word, the model, T_camera_model (predicted where not accepted)."""
+    """The results of tracking, observation, registration, fusion and estimation on one frame.
 
-    row: dict[str, Any]
+    registration: None where nothing was registered. estimate: None where it is stale; its position
+    is that of the feature point as measured in the frame, else as predicted.
+    """
+
     tracked: Tracked
-    model: Model | None
-    T_camera_model: Array | None
+    observation: Observation | None
+    registration: Registration | None
+    fused: Fused
     estimate: Estimate | None
-    accepted: bool
+
+    @property
+    def model(self) -> Model | None:
+        """The model Q_t."""
+        return self.fused.model
+
+    @property
+    def T_camera_model(self) -> Array | None:
+        """(4, 4), accepted or predicted."""
+        return self.fused.T_camera_model
+
+    @property
+    def accepted(self) -> bool:
+        """The frame was merged into the model."""
+        return self.fused.accepted
 
 
 @dataclass
@@ -78,12 +94,6 @@ class Perception:
             )
         )
         lap("tracking")
-        row: dict[str, Any] = {"frame": frame.index, "t_ns": frame.t_ns, "tracking": tracked.state}
-        if tracked.box is not None:
-            row.update(zip(("box_x0", "box_y0", "box_x1", "box_y1"), tracked.box, strict=True))
-            row["mask_area"] = tracked.mask_area
-        if tracked.features is not None:
-            row["n_features"] = len(tracked.features.points)
         wanted = config.observation
         if self.fusion.model is None:
             # the first observation is the whole model: thin on a large target, it would fail the gate's 5 mm for ever
@@ -96,14 +106,12 @@ class Perception:
         lap("observation")
         registration = _register(self, frame, tracked, observation, predicted, config)
         lap("registration")
-        _fuse(self, frame, tracked, observation, registration, predicted, row, config)
+        fused = _fuse(self, frame, tracked, observation, registration, predicted, config)
         lap("fusion")
-        estimate = _estimate(self, frame, T_base_camera, row)
+        estimate = _estimate(self, frame, T_base_camera)
         lap("estimation")
         self.T_base_camera = T_base_camera
-        return Perceived(
-            row, tracked, self.fusion.model, self.T_camera_model, estimate, self.accepted
-        )
+        return Perceived(tracked, observation, registration, fused, estimate)
 
 
 def _register(
@@ -147,10 +155,9 @@ def _fuse(
     observation: Observation | None,
     registration: Registration | None,
     predicted: Array | None,
-    row: dict[str, Any],
     config: Config,
-) -> None:
-    """Accept or predict, merge, and write what came of it into the row."""
+) -> Fused:
+    """Accept the frame and merge it into the model, or carry the model by the prediction."""
     rng = generator(config.seed, "fusion", frame.index)
     first = state.fusion.model is None and observation is not None and tracked.state == "tracked"
     state.accepted = first or (registration is not None and registration.accepted)
@@ -160,50 +167,41 @@ def _fuse(
         state.T_camera_model = state.T_prior = orthonormalise(registration.T_camera_model)
     else:
         state.T_camera_model = predicted
-        # the image tracker's pose is no accepted registration, but the best place to look from next
+        # the tracker's pose is no accepted registration, but the best place to look from next
         state.T_prior = tracked.T_camera_model if tracked.T_camera_model is not None else predicted
-    if observation is not None:
-        row["n_observed"] = len(observation.points)
+    reason = None
     if registration is not None:
-        row["icp_accepted"] = registration.accepted
-        row["icp_fitness"], row["icp_gate_fitness"] = (
-            registration.fitness,
-            registration.gate_fitness,
-        )
-        row["icp_rmse"], row["icp_reject_reason"] = registration.rmse, registration.reject_reason
+        reason = registration.reject_reason
     elif not first and tracked.state != "not_started":
-        row["icp_reject_reason"] = "lost" if tracked.state == "lost" else "too_few_points"
-    row["predicted"] = not state.accepted
+        reason = "lost" if tracked.state == "lost" else "too_few_points"
+    n_filtered = residual = None
     if state.accepted:
         assert observation is not None
         assert state.T_camera_model is not None
         T_model_camera = invert(state.T_camera_model)
         if registration is not None and state.fusion.model is not None:
             centre = transform(T_model_camera, observation.points).mean(axis=0)
-            row["residual_translation"] = float(
-                np.linalg.norm(centre - state.fusion.model.points.mean(axis=0))
-            )
-        row["n_filtered"] = state.fusion.step(observation, T_model_camera, rng)
+            residual = float(np.linalg.norm(centre - state.fusion.model.points.mean(axis=0)))
+        n_filtered = state.fusion.step(observation, T_model_camera, rng)
         state.T_accepted, state.accepted_ns = state.T_camera_model, frame.t_ns
-    model = state.fusion.model
-    if model is None or state.T_camera_model is None:
-        return
-    row["n_model"] = len(model.points)
-    if state.feature is None:
+    model, centroid = state.fusion.model, None
+    if model is not None and state.T_camera_model is not None:
         centre = model.points.mean(axis=0)
-        state.feature = model.points[int(np.argmin(np.linalg.norm(model.points - centre, axis=1)))]
-    if frame.t_ns - state.accepted_ns <= config.estimation.null_after_s * 1e9:
-        row.update(pose_columns("model", state.T_camera_model))
-        centroid = transform(state.T_camera_model, model.points.mean(axis=0)[None])[0]
-        row.update(
-            zip(("centroid_px", "centroid_py", "centroid_pz"), centroid.tolist(), strict=True)
-        )
+        if state.feature is None:
+            distances = np.linalg.norm(model.points - centre, axis=1)
+            state.feature = model.points[int(np.argmin(distances))]
+        if frame.t_ns - state.accepted_ns <= config.estimation.null_after_s * 1e9:
+            centroid = transform(state.T_camera_model, centre[None])[0]
+    return Fused(
+        state.accepted, reason, n_filtered, residual, model, state.T_camera_model, centroid
+    )
 
 
-def _estimate(
-    state: Perception, frame: Frame, T_base_camera: Array | None, row: dict[str, Any]
-) -> Estimate | None:
-    """The velocity filter's step, and its columns where it is not stale."""
+def _estimate(state: Perception, frame: Frame, T_base_camera: Array | None) -> Estimate | None:
+    """The velocity filter's step, with the measured feature point where there is one.
+
+    None before the first measurement and where the estimate is stale.
+    """
     measured = None
     if state.accepted and state.feature is not None and T_base_camera is not None:
         assert state.T_camera_model is not None
@@ -211,19 +209,4 @@ def _estimate(
     estimate = state.velocity.step(frame.t_ns, measured)
     if estimate is None or estimate.stale:
         return None
-    place = estimate.position
-    if measured is not None:
-        place = measured
-    row.update(zip(("feature_px", "feature_py", "feature_pz"), place.tolist(), strict=True))
-    row.update(
-        zip(("velocity_x", "velocity_y", "velocity_z"), estimate.velocity.tolist(), strict=True)
-    )
-    row["velocity_sd"], row["nis"] = estimate.velocity_sd, estimate.nis
-    return estimate
-
-
-def pose_columns(prefix: str, T: Array) -> dict[str, float]:
-    return {
-        f"{prefix}_{name}": float(value)
-        for name, value in zip(POSE, pose_from_matrix(T), strict=True)
-    }
+    return estimate if measured is None else replace(estimate, position=measured)

@@ -75,3 +75,24 @@ class Registration:
     @property
     def accepted(self) -> bool:
         return self.reject_reason is None
+
+
+@dataclass(frozen=True, slots=True)
+class Fused:
+    """The model after a frame's registration and fusion.
+
+    accepted: the frame was merged: it is the first, or its registration passed the gate.
+    reject_reason: why there is no accepted registration; None where there is one, in the first
+    frame, and before it. n_filtered: number of points of P''_t, of an accepted frame only.
+    residual_translation: m, motion of the centred clouds, of an accepted registration only.
+    model: Q_t. T_camera_model (4, 4): accepted, else predicted. centroid (3,): of the model, m,
+    camera frame; None where the pose is not known or is older than `null_after_s`.
+    """
+
+    accepted: bool
+    reject_reason: str | None = None
+    n_filtered: int | None = None
+    residual_translation: float | None = None
+    model: Model | None = None
+    T_camera_model: Array | None = None
+    centroid: Array | None = None

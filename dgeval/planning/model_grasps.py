@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from dgeval.planning.grasps import (
     propose,
 )
 from dgeval.planning.reachability import Arm, arm_of
-from dgeval.planning.recorded_grasps import Choice
+from dgeval.planning.recorded_grasps import Choice, GraspResult
 from dgeval.planning.schedule import Delayed
 from dgeval.planning.selection import by_metric, grasp_metric
 from dgeval.recording.frame import Frame
@@ -66,9 +65,11 @@ class ModelGrasps:
         T_base_camera: Array | None,
         model: Model | None,
         T_camera_model: Array | None,
-        row: dict[str, Any],
-    ) -> Choice | None:
-        """The best candidate by the dynamic metric that is free and in reach, and its columns; model: None if not accepted."""
+    ) -> GraspResult | None:
+        """The best candidate by the dynamic metric that is free and in reach.
+
+        None before there were candidates. model: None if the frame was not accepted.
+        """
         at = self._coming.at(frame.t_ns)
         if model is not None and T_camera_model is not None and T_base_camera is not None:
             drawn = self._draw(frame, T_base_camera, model, T_camera_model)
@@ -78,7 +79,6 @@ class ModelGrasps:
         cloud, candidates, T_base_cloud = at[1].cloud, at[1].candidates, at[1].T_base_cloud
         palm, config = frame.T_base_palm, self._config
         poses = T_base_cloud @ candidates.T_cloud_palm
-        row["n_grasps"] = len(poses)
         support, most = at[1].support, config.grasps.max_overlap
         metric = (
             candidates.scores
@@ -96,15 +96,16 @@ class ModelGrasps:
             self._reaches(poses, frame.t_ns, at[1], palm),
         ).first(by_metric(metric, config.selection.keep_margin if candidates.kept else 0.0))
         if chosen is None:
-            return None
+            return GraspResult(len(poses), None)
         joints = candidates.joints[chosen]
         self._kept = invert(at[1].T_cloud_model) @ candidates.T_cloud_palm[chosen], joints
-        row["grasp_score"] = float(candidates.scores[chosen])
+        score = float(candidates.scores[chosen])
         if palm is None:
-            return Choice(poses[chosen], None)
-        row["grasp_metric"] = float(metric[chosen])
-        score = evaluate(cloud, self._networks, (invert(T_base_cloud) @ palm)[None], joints[None])
-        return Choice(poses[chosen], float(score[0]))
+            return GraspResult(len(poses), Choice(poses[chosen], None, score, None))
+        T_cloud_palm = (invert(T_base_cloud) @ palm)[None]
+        hand_score = float(evaluate(cloud, self._networks, T_cloud_palm, joints[None])[0])
+        choice = Choice(poses[chosen], hand_score, score, float(metric[chosen]))
+        return GraspResult(len(poses), choice)
 
     def _draw(
         self, frame: Frame, T_base_camera: Array, model: Model, T_camera_model: Array

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,10 +19,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Choice:
-    """g*_t as T_base_palm (4, 4) and the score of the hand where it is (GraspEval); None where nobody scores it."""
+    """The chosen grasp g*_t as T_base_palm (4, 4), and its scores; None where nobody gives one.
+
+    hand_score: of the hand where it is (GraspEval). score: predicted success of the grasp. metric:
+    its dynamic grasp metric, equations 3 to 5.
+    """
 
     T_base_palm: Array
     hand_score: float | None
+    score: float | None
+    metric: float | None
+
+
+@dataclass(frozen=True)
+class GraspResult:
+    """Number of candidates, and the one chosen; None where none is free and in reach."""
+
+    n_candidates: int
+    choice: Choice | None
 
 
 class RecordedGrasps:
@@ -38,17 +52,16 @@ class RecordedGrasps:
         T_base_camera: Array | None,  # noqa: ARG002  as of `ModelGrasps`
         model: Model | None,  # noqa: ARG002
         T_camera_model: Array | None,  # noqa: ARG002
-        row: dict[str, Any],
-    ) -> Choice | None:
-        """The grasp that was usable at the frame, and its columns; None before there was one."""
+    ) -> GraspResult | None:
+        """The grasp that was usable at the frame; None before there was one."""
         at = self._coming.step(frame.t_ns, frame.grasp)
         if at is None or at[1] is None:
             return None
         grasp, palm = at[1], frame.T_base_palm
-        row["n_grasps"] = 1
+        metric = None
         if palm is not None and grasp.score is not None:
-            metric = grasp_metric(
+            metrics = grasp_metric(
                 grasp.T_base_palm[None], np.array([grasp.score]), palm, self._config.selection
             )
-            row["grasp_metric"] = float(metric[0])
-        return Choice(grasp.T_base_palm, grasp.score)
+            metric = float(metrics[0])
+        return GraspResult(1, Choice(grasp.T_base_palm, grasp.score, None, metric))

@@ -8,44 +8,84 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dgeval.config import Config, GraspsConfig
 from dgeval.geometry import Array, matrix_from_pose, transform
-from dgeval.perception.pipeline import Perception, pose_columns
+from dgeval.perception.pipeline import Perceived, Perception
 from dgeval.perception.target import find_target
 from dgeval.perception.types import Model, Tracked
 from dgeval.planning.execution import execute
-from dgeval.planning.recorded_grasps import Choice, RecordedGrasps
+from dgeval.planning.recorded_grasps import Choice, GraspResult, RecordedGrasps
 from dgeval.planning.schedule import Delayed
-from dgeval.planning.servo import Servo
+from dgeval.planning.servo import Servo, ServoCommand
 from dgeval.recording.contract import CLOSE_EVENT, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
 from dgeval.recording.trials import Trial
+from dgeval.replay.row import row_of
 from dgeval.robots.hand import Hand, hand_named, hand_of
 
 if TYPE_CHECKING:
     from dgeval.planning.model_grasps import ModelGrasps
-    from dgeval.planning.vfas.replayed import VfasGrasps
+    from dgeval.planning.vfas.replayed import VfasGrasps, VfasResult
 
 
 DEFAULT_HAND = "dlr_hit_hand"  # whose palm frame is taken where no known hand is described
 
 
 @dataclass(frozen=True)
+class Control:
+    """Whether to close now (None: not known), and the servo's command (None: no palm pose)."""
+
+    execute: bool | None
+    command: ServoCommand | None
+
+
+@dataclass(frozen=True)
 class Step:
-    """One frame's results: its table row, seconds per stage, and what the review recording draws."""
+    """One frame's stage results, and the wall time of each stage, s.
+
+    perceived: of perception. grasps, control: of the dynamic pipeline; None before there is a grasp.
+    vfas: of the pipeline `vfas`; None before there is a seed. T_base_camera: None where the pose of
+    the camera is not known.
+    """
 
     frame: Frame
-    row: dict[str, Any]
-    seconds: dict[str, float]
-    tracked: Tracked
-    model: Model | None
-    T_camera_model: Array | None
     T_base_camera: Array | None
-    accepted: bool
+    seconds: dict[str, float]
+    perceived: Perceived
+    grasps: GraspResult | None
+    control: Control | None
+    vfas: VfasResult | None
+
+    @property
+    def tracked(self) -> Tracked:
+        """The image tracker's result."""
+        return self.perceived.tracked
+
+    @property
+    def model(self) -> Model | None:
+        """The model Q_t."""
+        return self.perceived.model
+
+    @property
+    def T_camera_model(self) -> Array | None:
+        """(4, 4), accepted or predicted; None where it is older than `null_after_s`."""
+        fused = self.perceived.fused
+        return None if fused.centroid is None else fused.T_camera_model
+
+    @property
+    def accepted(self) -> bool:
+        """The frame was merged into the model."""
+        return self.perceived.accepted
+
+    @cached_property
+    def row(self) -> dict[str, Any]:
+        """The frame's row of the table `frames`."""
+        return row_of(self)
 
 
 def replay(trial: Trial, config: Config, perception: Perception | None = None) -> Iterator[Step]:
@@ -81,26 +121,25 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
             box = find_target(frame, T_base_camera, _palm_at_close(trial), config)
         clock.lap("target")
         seen = state.step(frame, T_base_camera, box, clock.lap)
-        row = seen.row
         usable = perceived.step(
             frame.t_ns, (seen.estimate, seen.model, seen.T_camera_model, T_base_camera)
         )
         model = seen.model if seen.accepted else None
-        if planner is not None:
-            planner.step(frame, T_base_camera, row)
-        choice = (
+        vfas = None if planner is None else planner.step(frame, T_base_camera)
+        result = (
             None
             if grasps is None
-            else grasps.choose(frame, T_base_camera, model, seen.T_camera_model, row)
+            else grasps.choose(frame, T_base_camera, model, seen.T_camera_model)
         )
         clock.lap("grasps")
-        if planner is None:
-            _control(frame, T_base_camera, usable, choice, servo, row, config)
-        clock.lap("control")
-        shown = seen.T_camera_model if row.get("model_px") is not None else None
-        yield Step(
-            frame, row, clock.seconds, seen.tracked, seen.model, shown, T_base_camera, seen.accepted
+        choice = None if result is None else result.choice
+        control = (
+            None
+            if choice is None
+            else _control(frame, T_base_camera, usable, choice, servo, config)
         )
+        clock.lap("control")
+        yield Step(frame, T_base_camera, clock.seconds, seen, result, control, vfas)
 
 
 def grasp_source(trial: Trial, config: GraspsConfig) -> str:
@@ -158,31 +197,26 @@ def _control(
     frame: Frame,
     T_base_camera: Array | None,
     usable: tuple[int, Any] | None,
-    grasp: Choice | None,
+    grasp: Choice,
     servo: Servo,
-    row: dict[str, Any],
     config: Config,
-) -> None:
-    """Grasp, servo and execution columns; all null without a grasp or without the palm's pose."""
+) -> Control:
+    """Execution and servo at the recorded palm pose.
+
+    usable: time of the image, and estimate, model, T_camera_model and T_base_camera of the newest
+    frame whose perception is done by now.
+    """
     palm = frame.T_base_palm
-    if palm is not None:
-        row.update(pose_columns("hand", palm))
-    if grasp is None:
-        return
-    row.update(pose_columns("grasp", grasp.T_base_palm))
-    row["hand_score"] = grasp.hand_score
-    row["execute"] = execute(grasp.hand_score, config.execution, palm, grasp.T_base_palm)
+    close_now = execute(grasp.hand_score, config.execution, palm, grasp.T_base_palm)
     if palm is None:
-        return
+        return Control(close_now, None)
     estimate, model, T_camera_model, T_then = usable[1] if usable else (None, None, None, None)
     velocity = estimate.velocity if estimate is not None else np.zeros(3)
     target = grasp.T_base_palm[:3, 3]
     if model is not None and T_camera_model is not None and T_then is not None:
         target = transform(T_then @ T_camera_model, model.points.mean(axis=0)[None])[0]
     command = servo.step(frame.t_ns, palm, grasp.T_base_palm, T_base_camera, target, velocity)
-    row["error_linear"], row["error_angular"] = command.error_linear, command.error_angular
-    names = ("twist_vx", "twist_vy", "twist_vz", "twist_wx", "twist_wy", "twist_wz")
-    row.update(zip(names, command.twist.tolist(), strict=True))
+    return Control(close_now, command)
 
 
 def _palm_at_close(trial: Trial) -> Array | None:

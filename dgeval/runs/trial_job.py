@@ -22,13 +22,14 @@ from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, DgevalError, d
 from dgeval.geometry import Array
 from dgeval.hindsight.second_pass import Hindsight, look_back
 from dgeval.hindsight.surface import Seen, Surface, seen_of
-from dgeval.perception.pipeline import Perception, pose_columns
+from dgeval.perception.pipeline import Perception
 from dgeval.perception.trackers import tracker_named
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
 from dgeval.replay.causal import Step, grasp_source, recorded_seed, replay
 from dgeval.replay.notes import vfas_notes
+from dgeval.replay.row import pose_columns
 from dgeval.runs.files import TableFile, file_name, write_atomically, write_ply, write_table
 from dgeval.runs.folder import TrialResult
 from dgeval.schema import (

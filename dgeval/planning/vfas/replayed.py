@@ -1,21 +1,33 @@
-"""VFAS-Grasp over a recording: an iteration at its period, and its columns, at the recorded states of the gripper."""
+"""VFAS-Grasp over a recording: an iteration at its period, at the recorded gripper states."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from dgeval.config import Config
 from dgeval.geometry import Array, rotation_angle
-from dgeval.perception.pipeline import pose_columns
 from dgeval.planning.schedule import Delayed
+from dgeval.planning.servo import ServoCommand
 from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
 from dgeval.planning.vfas.selection import Selected
 from dgeval.recording.frame import Frame
 
 EARLY = 0.8  # of a period; a frame that comes this early still begins an iteration
-TWIST = ("twist_vx", "twist_vy", "twist_vz", "twist_wx", "twist_wy", "twist_wz")
+
+
+@dataclass(frozen=True)
+class VfasResult:
+    """The newest usable iteration at a frame, and the command to its goal.
+
+    motion (3,): motion field near the seed in the newest iteration, m/s, base frame; None without
+    one. command: None without the palm's pose.
+    """
+
+    selected: Selected
+    motion: Array | None
+    command: ServoCommand | None
 
 
 class VfasGrasps:
@@ -27,11 +39,9 @@ class VfasGrasps:
         self._coming: Delayed[Selected] = Delayed(config.schedule.grasps_latency_s)
         self._next_ns = 0
 
-    def step(self, frame: Frame, T_base_camera: Array | None, row: dict[str, Any]) -> None:
-        """One frame's columns; all null before there is a seed, or where the camera's pose isn't known."""
+    def step(self, frame: Frame, T_base_camera: Array | None) -> VfasResult | None:
+        """One frame; None before there is a seed. No iteration where the camera's pose is unknown."""
         config, hand = self._config.vfas, frame.T_base_palm
-        if hand is not None:
-            row.update(pose_columns("hand", hand))
         if T_base_camera is not None and frame.t_ns >= self._next_ns:
             self._next_ns = frame.t_ns + round(EARLY * config.period_s * 1e9)
             selected = self._loop.step(frame, T_base_camera)
@@ -39,24 +49,13 @@ class VfasGrasps:
                 self._coming.step(frame.t_ns, selected)
         at = self._coming.at(frame.t_ns)
         if at is None:
-            return
-        chosen = at[1]
-        row.update(pose_columns("grasp", chosen.T_base_seed))
-        if not np.isnan(chosen.score):  # the last advance is open loop
-            row["grasp_score"], row["grasp_quality"], row["grasp_spread"] = (
-                chosen.score,
-                chosen.quality,
-                chosen.spread,
+            return None
+        command = None
+        if hand is not None:
+            goal = at[1].T_base_goal
+            command = ServoCommand(
+                float(np.linalg.norm(goal[:3, 3] - hand[:3, 3])),
+                rotation_angle(hand[:3, :3].T @ goal[:3, :3]),
+                proportional_twist(hand, goal, config.gain),
             )
-        row["n_grasps"], row["region_factor"] = chosen.n, chosen.factor
-        row["execute"] = chosen.execute
-        if self._loop.velocity is not None:
-            row.update(
-                zip(("motion_x", "motion_y", "motion_z"), self._loop.velocity.tolist(), strict=True)
-            )
-        if hand is None:
-            return
-        goal = chosen.T_base_goal
-        row["error_linear"] = float(np.linalg.norm(goal[:3, 3] - hand[:3, 3]))
-        row["error_angular"] = rotation_angle(hand[:3, :3].T @ goal[:3, :3])
-        row.update(zip(TWIST, proportional_twist(hand, goal, config.gain).tolist(), strict=True))
+        return VfasResult(at[1], self._loop.velocity, command)
