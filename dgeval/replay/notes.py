@@ -1,10 +1,85 @@
-"""What a trial's row says of the replay: stand-ins, and what ran in place of the papers' parts."""
+"""A trial's notes on its replay: what ran in place of the papers' parts, and what was left out."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dgeval.config import Config
+from dgeval.perception.trackers import tracker_named
+from dgeval.recording.trials import Trial
+from dgeval.replay.causal import Step, grasp_source, recorded_seed
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCounts:
+    """Numbers of frames of a trial.
+
+    lost: the tracker had lost the target. predicted: no accepted registration. no_depth: the
+    target was tracked, but without usable depth on it.
+    """
+
+    frames: int = 0
+    lost: int = 0
+    predicted: int = 0
+    no_depth: int = 0
+
+    def with_frame(self, step: Step) -> FrameCounts:
+        """The counts after one more frame."""
+        state = step.tracked.state
+        unobserved = state == "tracked" and step.perceived.observation is None
+        return replace(
+            self,
+            frames=self.frames + 1,
+            lost=self.lost + (state == "lost"),
+            predicted=self.predicted + (not step.accepted),
+            no_depth=self.no_depth + unobserved,
+        )
+
+
+def self_filter_of(trial: Trial) -> str:
+    """What takes the robot's own hand out of the images: geometry, mask or none."""
+    if trial.robot.hand_links:
+        return "geometry"
+    return "mask" if trial.static_mask is not None else "none"
+
+
+def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
+    """All notes on a trial's replay, those of its recording first; counts: after the last frame."""
+    notes = list(trial.notes)
+    if counts.no_depth:
+        notes.append(
+            f"no usable depth on the target in {counts.no_depth} of {counts.frames} frames: "
+            "followed in colour"
+        )
+    unmatched = trial.n_unmatched_colour
+    if unmatched or trial.n_unmatched_depth:
+        notes.append(f"unmatched images: {unmatched} colour, {trial.n_unmatched_depth} depth")
+    if trial.n_undecodable_frames:
+        notes.append(f"{trial.n_undecodable_frames} frames could not be decoded")
+    if self_filter_of(trial) == "none":
+        notes.append("self_filter: none, no robot description")
+    stand_in = tracker_named(config.tracking.method).STAND_IN
+    if stand_in is not None:
+        notes.append(f"stand-in: {stand_in} in place of TransT-M")
+    if config.pipeline == "vfas":
+        return notes + vfas_notes(config, recorded_seed(trial) is not None)
+    source = grasp_source(trial, config.grasps)
+    if source == "recorded":
+        notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
+    elif source == "ffhnet":
+        notes += ffhnet_notes(config)
+    return notes
+
+
+def ffhnet_notes(config: Config) -> list[str]:
+    """Where the choice of a grasp departs from the paper, and the weights of FFHNet."""
+    from dgeval.networks.checkpoints import published
+
+    given = [Path(f) for f in (config.grasps.generator, config.grasps.evaluator) if f is not None]
+    names = [published(path) or f"weights {path.name}" for path in given]
+    weights = ", ".join(names if len(names) == 2 else [*names, "dgeval's own weights"])
+    return [*config.beyond_the_paper(), f"grasps by FFHNet with {weights}"]
 
 
 def vfas_notes(config: Config, seeded: bool) -> list[str]:
@@ -21,7 +96,8 @@ def vfas_notes(config: Config, seeded: bool) -> list[str]:
     if not seeded and not config.vfas.search:
         seeds = config.vfas.contact_graspnet
         notes.append(
-            "stand-in: a sampler scored by the evaluator in place of Contact-GraspNet's seed" if seeds is None
+            "stand-in: a sampler scored by the evaluator in place of Contact-GraspNet's seed"
+            if seeds is None
             else f"seed by Contact-GraspNet, weights {Path(seeds).name}"
-        )  # fmt: skip
+        )
     return notes

@@ -23,12 +23,11 @@ from dgeval.geometry import Array
 from dgeval.hindsight.second_pass import Hindsight, look_back
 from dgeval.hindsight.surface import Seen, Surface, seen_of
 from dgeval.perception.pipeline import Perception
-from dgeval.perception.trackers import tracker_named
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
-from dgeval.replay.causal import Step, grasp_source, recorded_seed, replay
-from dgeval.replay.notes import vfas_notes
+from dgeval.replay.causal import Step, replay
+from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
 from dgeval.replay.row import pose_columns
 from dgeval.runs.files import TableFile, file_name, write_atomically, write_ply, write_table
 from dgeval.runs.folder import TrialResult
@@ -125,7 +124,7 @@ def _replay_trial(
         else None
     )
     digests = StageDigests()
-    counts = dict.fromkeys(("frames", "lost", "predicted", "no_depth"), 0)
+    counts = FrameCounts()
     t_execute_ns = None
     model = None
     last_ns = trial.pairs[-1][0]
@@ -154,12 +153,7 @@ def _replay_trial(
                         "seconds": seconds,
                     }
                 )
-            counts["frames"] += 1
-            counts["lost"] += step.row["tracking"] == "lost"
-            counts["predicted"] += bool(step.row.get("predicted"))
-            counts["no_depth"] += (
-                step.row["tracking"] == "tracked" and step.row.get("n_observed") is None
-            )
+            counts = counts.with_frame(step)
             if t_execute_ns is None and step.row.get("execute"):
                 t_execute_ns = step.frame.t_ns
             model = step.model if step.model is not None else model
@@ -183,7 +177,7 @@ def _replay_trial(
             ("verdict", time.perf_counter() - looked),
         ):
             timings_table.add(
-                {"trial": spec.id, "frame": counts["frames"], "stage": stage, "seconds": seconds}
+                {"trial": spec.id, "frame": counts.frames, "stage": stage, "seconds": seconds}
             )
     sizes = (
         view.close(out / "review" / f"{name}.rrd", hindsight, judgement)
@@ -200,7 +194,7 @@ def _replay_trial(
     if model is not None:
         write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
-    row, exit_code, messages = _trial_row(trial, config, counts, t_execute_ns, last_ns, judgement)
+    row, exit_code, messages = trial_row(trial, config, counts, t_execute_ns, last_ns, judgement)
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
     write_atomically(
         mark,
@@ -212,14 +206,18 @@ def _replay_trial(
     return TrialResult(spec.id, row, exit_code, messages, trial.sha256, review=sizes)
 
 
-def _trial_row(
+def trial_row(
     trial: Trial,
     config: Config,
-    counts: dict[str, int],
+    counts: FrameCounts,
     t_execute_ns: int | None,
     last_ns: int,
     judgement: Judgement,
 ) -> tuple[dict[str, Any], int, list[str]]:
+    """The trial's row without its digests, the exit code, and messages for the user.
+
+    t_execute_ns: first frame in which the replay would have closed. last_ns: time of the last frame.
+    """
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
     exit_code = EXIT_DATA_LOST if trial.damage else EXIT_OK
@@ -229,42 +227,6 @@ def _trial_row(
         exit_code = EXIT_DATA_LOST
         messages.append(
             f"{unmatched} of {seen} colour images have no depth image near enough in time"
-        )
-    self_filter = (
-        "geometry"
-        if trial.robot.hand_links
-        else ("mask" if trial.static_mask is not None else "none")
-    )
-    notes = list(trial.notes)
-    if counts["no_depth"]:
-        notes.append(
-            f"no usable depth on the target in {counts['no_depth']} of {counts['frames']} frames: followed in colour"
-        )
-    if unmatched or trial.n_unmatched_depth:
-        notes.append(f"unmatched images: {unmatched} colour, {trial.n_unmatched_depth} depth")
-    if trial.n_undecodable_frames:
-        notes.append(f"{trial.n_undecodable_frames} frames could not be decoded")
-    if self_filter == "none":
-        notes.append("self_filter: none, no robot description")
-    stand_in = tracker_named(config.tracking.method).STAND_IN
-    if stand_in is not None:
-        notes.append(f"stand-in: {stand_in} in place of TransT-M")
-    source = "vfas" if config.pipeline == "vfas" else grasp_source(trial, config.grasps)
-    if source == "vfas":
-        notes += vfas_notes(config, recorded_seed(trial) is not None)
-    elif source == "recorded":
-        notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
-    elif source == "ffhnet":
-        from dgeval.networks.checkpoints import published
-
-        given = [
-            Path(f) for f in (config.grasps.generator, config.grasps.evaluator) if f is not None
-        ]
-        names = [published(path) or f"weights {path.name}" for path in given]
-        notes += config.beyond_the_paper()
-        notes.append(
-            "grasps by FFHNet with "
-            + ", ".join(names if len(names) == 2 else [*names, "dgeval's own weights"])
         )
     row: dict[str, Any] = {
         "trial": spec.id,
@@ -276,16 +238,16 @@ def _trial_row(
         "speed": spec.speed,
         "t_start_ns": spec.start_ns,
         "t_end_ns": max(spec.end_ns or last_ns, last_ns),
-        "n_frames": counts["frames"],
-        "n_lost": counts["lost"],
-        "n_predicted": counts["predicted"],
-        "self_filter": self_filter,
+        "n_frames": counts.frames,
+        "n_lost": counts.lost,
+        "n_predicted": counts.predicted,
+        "self_filter": self_filter_of(trial),
         "target_source": "bbox" if spec.bbox is not None else "automatic",
         "t_execute_ns": t_execute_ns,
         "t_close_ns": trial.event_ns(CLOSE_EVENT),
         "t_decisive_ns": judgement.decisive_ns,
         "contact_link": judgement.link,
-        "notes": "; ".join([*notes, *judgement.notes]),
+        "notes": "; ".join([*trial_notes(trial, config, counts), *judgement.notes]),
         **asdict(judgement.row),
     }
     return row, exit_code, messages
