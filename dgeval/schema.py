@@ -200,6 +200,7 @@ TRIALS: tuple[Column, ...] = (
     Column("belief_source", "str", "", "recorded, replayed_faithful, replayed", "trial"),
     Column("gap_s", "float", "s", "blind gap before the close", "trial"),
     Column("gap_sided", "str", "", "none, one, two", "trial"),
+    # left to: The papers' time and parts: replay what the robot did, when it did it
     Column("execute_in_window", "bool", "",
            "the replay would have closed at a working moment", "trial"),
     Column("hindsight_score_at_execute", "float", "", "of the chosen grasp", "trial"),
@@ -209,6 +210,11 @@ TRIALS: tuple[Column, ...] = (
     *(Column(f"digest_{stage}", "str", "",
              f"SHA-256 over the frame columns of stage {stage}", "trial") for stage in STAGES),
 )  # fmt: skip
+# Columns that nothing fills yet, with the title of the issue that will
+UNFILLED: dict[str, str] = dict.fromkeys(
+    ("execute_in_window", "hindsight_score_at_execute"),
+    "The papers' time and parts: replay what the robot did, when it did it",
+)
 
 HINDSIGHT: tuple[Column, ...] = (
     Column("frame", "int", "", "index in the trial", "hindsight"),

@@ -1,0 +1,64 @@
+"""Catches a stand-in or a loss that a trial's notes keep quiet about, and frames miscounted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from dgeval.config import load_config
+from dgeval.perception.pipeline import Perceived
+from dgeval.perception.types import Fused, Observation, Tracked
+from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
+from tests.replay.test_row import step_of
+from tests.verdict.synthetic_trial import trial_of
+
+
+def test_frames_are_counted_by_what_became_of_the_target() -> None:
+    """Catches a frame that is lost counted as one without depth, or counted twice."""
+    points = np.zeros((3, 3))
+    observation = Observation(points, points)
+    counts = FrameCounts()
+    for perceived in (
+        Perceived(Tracked("tracked"), None, None, Fused(False, "too_few_points"), None),
+        Perceived(Tracked("lost"), None, None, Fused(False, "lost"), None),
+        Perceived(Tracked("lost"), None, None, Fused(False, "lost"), None),
+        Perceived(Tracked("tracked"), observation, None, Fused(True), None),
+    ):
+        counts = counts.with_frame(step_of(perceived))
+    assert counts == FrameCounts(frames=4, lost=2, predicted=3, no_depth=1)
+
+
+def test_notes_name_stand_ins_and_what_was_left_out() -> None:
+    """Catches a loss without a note, and the notes in another order than the tables of old runs."""
+    trial = trial_of(description=None)
+    window = replace(trial.window, n_unmatched_colour=2, n_unmatched_depth=3)
+    trial = replace(trial, window=window, notes=("of the recording",))
+    trial.reader.lost.count = 1
+    config = load_config("dynamic", ("tracking.method=csrt", "grasps.source=recorded"))
+    assert trial_notes(trial, config, FrameCounts(frames=9, no_depth=4)) == [
+        "of the recording",
+        "no usable depth on the target in 4 of 9 frames: followed in colour",
+        "unmatched images: 2 colour, 3 depth",
+        "1 frames could not be decoded",
+        "self_filter: none, no robot description",
+        "stand-in: CSRT in place of TransT-M",
+        "stand-in: the recorded grasp in place of FFHNet; hand_score as recorded",
+    ]
+    assert trial.notes == ("of the recording",)
+
+
+def test_a_complete_trial_has_only_the_notes_of_its_parts() -> None:
+    """Catches notes of losses where nothing was lost, and of a hand that is known."""
+    config = load_config("dynamic", ("grasps.source=none",))
+    trial = trial_of()
+    assert self_filter_of(trial) == "geometry"
+    expected = ["stand-in: model tracker in place of TransT-M"]
+    assert trial_notes(trial, config, FrameCounts(frames=9)) == expected
+
+
+def test_ffhnet_is_named_with_its_weights() -> None:
+    """Catches the shipped weights taken for the published ones, and a departure left out."""
+    config = load_config("dynamic", ("grasps.source=ffhnet",))
+    notes = trial_notes(trial_of(), config, FrameCounts())
+    assert notes[1:-1] == config.beyond_the_paper()
+    assert notes[-1] == "grasps by FFHNet with dgeval's own weights"
