@@ -105,15 +105,15 @@ class ReviewWriter:
 
     def add(self, step: Step) -> None:
         """Log one frame: image with box, mask and projected model; scene; plots; tracker state."""
-        frame, row, rec = step.frame, step.row, self._rec
+        frame, state, row, rec = step.frame, step.tracked.state, step.row, self._rec
         self._at(frame.t_ns)
         image, box = self._log_images(step)
         T_base_camera = frame.T_base_camera if frame.T_base_camera is not None else np.eye(4)
         rec.log("world/camera", _transform(T_base_camera))
-        if row["tracking"] != self._state:
-            self._state = row["tracking"]
-            rec.log("phase/tracking", rr.StateChange(state=STATES[row["tracking"]]))
-        if row["tracking"] == "tracked":
+        if state != self._state:
+            self._state = state
+            rec.log("phase/tracking", rr.StateChange(state=STATES[state]))
+        if state == "tracked":
             self._was_tracked = True
         elif self._was_tracked and self._first_lost_ns is None:
             self._first_lost_ns = frame.t_ns
@@ -134,9 +134,9 @@ class ReviewWriter:
                         step.model.points[::every].astype(np.float32), radii=0.001, colors=OBJECT
                     ),
                 )
-        if row.get("velocity_x") is not None and row.get("feature_px") is not None:
-            v = [[row["velocity_x"], row["velocity_y"], row["velocity_z"]]]
-            at = [[row["feature_px"], row["feature_py"], row["feature_pz"]]]
+        estimate = step.perceived.estimate
+        if estimate is not None:
+            v, at = [estimate.velocity.tolist()], [estimate.position.tolist()]
             rec.log(
                 "world/velocity", rr.Arrows3D(vectors=v, origins=at, colors=OBJECT, radii=0.002)
             )
@@ -162,7 +162,7 @@ class ReviewWriter:
                 )
 
     def _log_images(self, step: Step) -> tuple[rr.EncodedImage, rr.Boxes2D | None]:
-        frame, row, rec = step.frame, step.row, self._rec
+        frame, rec = step.frame, self._rec
         image = "world/camera/colour"
         data = frame.colour_file
         if data is None:
@@ -189,7 +189,7 @@ class ReviewWriter:
             rec.log(f"{image}/model", rr.Clear(recursive=False))
             return encoded, None
         x0, y0, x1, y1 = step.tracked.box
-        colour = OBJECT if not row.get("predicted") else (220, 60, 50)
+        colour = OBJECT if step.accepted else (220, 60, 50)
         drawn = rr.Boxes2D(array=[x0, y0, x1, y1], array_format=rr.Box2DFormat.XYXY, colors=colour)
         rec.log(f"{image}/box", drawn)
         if step.tracked.mask is not None and step.tracked.window is not None:

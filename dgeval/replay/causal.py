@@ -82,6 +82,13 @@ class Step:
         """The frame was merged into the model."""
         return self.perceived.accepted
 
+    @property
+    def execute(self) -> bool | None:
+        """Whether either pipeline would close the fingers now; None where that is not known."""
+        if self.vfas is not None:
+            return self.vfas.selected.execute
+        return None if self.control is None else self.control.execute
+
     @cached_property
     def row(self) -> dict[str, Any]:
         """The frame's row of the table `frames`."""

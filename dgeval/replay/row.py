@@ -30,7 +30,7 @@ TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 def row_of(step: Step) -> dict[str, object]:
     """The columns of one frame by name."""
     frame = step.frame
-    row: dict[str, object] = {"frame": frame.index, "t_ns": frame.t_ns}
+    row: dict[str, object] = {"frame": frame.index, "t_ns": frame.t_ns, "execute": step.execute}
     row |= _tracking(step.perceived)
     row |= _registration_and_fusion(step.perceived)
     row |= _estimation(step.perceived)
@@ -39,7 +39,6 @@ def row_of(step: Step) -> dict[str, object]:
     if step.grasps is not None:
         row |= _grasps(step.grasps)
     if step.control is not None:
-        row["execute"] = step.control.execute
         row |= _servo(step.control.command)
     if step.vfas is not None:
         row |= _vfas(step.vfas)
@@ -123,7 +122,6 @@ def _vfas(result: VfasResult) -> dict[str, object]:
         **pose_columns("grasp", selected.T_base_seed),
         "n_grasps": selected.n,
         "region_factor": selected.factor,
-        "execute": selected.execute,
     }
     if not np.isnan(selected.score):  # the last advance is open loop: nothing was scored
         row["grasp_score"] = selected.score

@@ -154,7 +154,7 @@ def _replay_trial(
                     }
                 )
             counts = counts.with_frame(step)
-            if t_execute_ns is None and step.row.get("execute"):
+            if t_execute_ns is None and step.execute:
                 t_execute_ns = step.frame.t_ns
             model = step.model if step.model is not None else model
             last_ns = step.frame.t_ns
