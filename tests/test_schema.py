@@ -1,4 +1,4 @@
-"""Catches a mistyped or undeclared column that becomes a null in a table, or no part of a digest."""
+"""Catches a mistyped or undeclared column: a null in a table, or a value in no digest."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_digests_take_every_frame_column() -> None:
 
 
 def test_a_refused_row_leaves_no_table_file(tmp_path: Path) -> None:
-    """Catches a key that is refused only when the row group is written, with the file half there."""
+    """Catches a key refused only when the row group is written, and a file left incomplete."""
     path = tmp_path / "timings.parquet"
 
     def write() -> None:

@@ -1,4 +1,7 @@
-"""Tracking, observation, registration, fusion and estimation of one frame: the perception that replay and simulator share."""
+"""The perception of one frame: tracking, observation, registration, fusion and estimation.
+
+Replay and simulator share it.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from dgeval.perception.trackers.model import TrackingInput
 from dgeval.perception.types import Fused, Model, Observation, Registration, Tracked
 from dgeval.recording.frame import Frame
 
-Box = tuple[float, float, float, float]
+Box = tuple[float, float, float, float]  # x0, y0, x1, y1 px
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,13 @@ class Perceived:
 
 @dataclass
 class Perception:
-    """The state that tracking, registration, fusion and estimation share: where the model is, and since when."""
+    """The state that the stages share from frame to frame: where the model is, and since when.
+
+    T_camera_model (4, 4): of the last frame, accepted or predicted. T_prior: the pose that the next
+    prediction starts from. T_accepted, accepted_ns: the last accepted pose and its time, ns.
+    feature (3,): the feature point whose velocity is estimated, m, model frame. T_base_camera: of
+    the last frame. All None before there is one. accepted: whether the last frame was merged.
+    """
 
     config: Config
     fusion: Fusion = field(init=False)
@@ -73,7 +82,11 @@ class Perception:
         self.accepted = False
 
     def predict(self, frame: Frame, T_base_camera: Array | None) -> Array | None:
-        """T_camera_model at this frame before looking: carried by camera and velocity, without rotation of its own."""
+        """T_camera_model (4, 4) at this frame, before its images are used; None without a model.
+
+        The camera's motion and the estimated velocity carry the last pose. The object is assumed
+        not to rotate.
+        """
         if self.T_prior is None:
             return None
         if T_base_camera is None or self.T_base_camera is None:
@@ -85,7 +98,11 @@ class Perception:
     def step(
         self, frame: Frame, T_base_camera: Array | None, box: Box | None, lap: Callable[[str], None]
     ) -> Perceived:
-        """One frame. `box` starts the target; lap(stage) is called when a stage is done."""
+        """Process one frame. T_base_camera (4, 4): None where it is not known.
+
+        box: starts tracking the target in it; None goes on. lap(stage): called after each stage,
+        to time it.
+        """
         config = self.config
         predicted = self.predict(frame, T_base_camera)
         tracked = self.tracker.step(
@@ -94,14 +111,15 @@ class Perception:
             )
         )
         lap("tracking")
-        wanted = config.observation
+        settings = config.observation
         if self.fusion.model is None:
-            # the first observation is the whole model: thin on a large target, it would fail the gate's 5 mm for ever
-            wanted = wanted.model_copy(
-                update={"max_points": max(wanted.max_points, config.fusion.max_model_points)}
+            # the first observation is the whole model: with few points on a large target, later
+            # frames would never have enough of them within the gate's 5 mm
+            settings = settings.model_copy(
+                update={"max_points": max(settings.max_points, config.fusion.max_model_points)}
             )
         observation = observe(
-            frame, tracked, generator(config.seed, "observation", frame.index), wanted
+            frame, tracked, generator(config.seed, "observation", frame.index), settings
         )
         lap("observation")
         registration = _register(self, frame, tracked, observation, predicted, config)
@@ -122,7 +140,10 @@ def _register(
     predicted: Array | None,
     config: Config,
 ) -> Registration | None:
-    """None where nothing can be registered: no model yet, target lost, too few points."""
+    """Register the observation to the model and apply the gate.
+
+    None where nothing can be registered: no model yet, target lost, too few points.
+    """
     if (
         state.fusion.model is None
         or observation is None

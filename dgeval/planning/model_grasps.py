@@ -1,4 +1,7 @@
-"""FFHNet on the model cloud of every accepted frame, and the choice among its grasps by metric, overlap and reach."""
+"""Grasps by FFHNet on the model cloud of every accepted frame, and the choice of one of them.
+
+The choice is by the dynamic metric, among those that are free of overlap and in reach.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +35,10 @@ from dgeval.recording.robot import RobotStates
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Candidates of one frame with the cloud they were drawn for, T_base_cloud and T_cloud_model of that frame.
+    """Candidates of one frame, with the cloud they were drawn for.
 
-    support: normal and offset m of the plane it stands on, in the cloud's frame, where one is known.
+    T_base_cloud, T_cloud_model (4, 4): of that frame. support: normal (3,) and offset m of the
+    plane the object stands on, in the cloud's frame; None where it is not known.
     """
 
     cloud: EncodedCloud
@@ -51,9 +55,8 @@ class ModelGrasps:
         self._config = config
         self._networks = networks_of(config.grasps)
         self._coming: Delayed[_Drawn] = Delayed(config.schedule.grasps_latency_s)
-        self._kept: tuple[Array, Array] | None = (
-            None  # T_model_palm and joints of the grasp chosen last
-        )
+        # T_model_palm (4, 4) and joint angles (n,) rad of the grasp chosen last
+        self._kept: tuple[Array, Array] | None = None
         self._arm: Arm | None = None
         if robot.description is not None and robot.base_frame and robot.palm_frame:
             self._arm = arm_of(robot.description, robot.base_frame, robot.palm_frame)
@@ -110,6 +113,7 @@ class ModelGrasps:
     def _draw(
         self, frame: Frame, T_base_camera: Array, model: Model, T_camera_model: Array
     ) -> _Drawn:
+        """Candidates of this frame; the grasp chosen last is one of them, moved with the model."""
         T_base_cloud = T_base_camera.copy()
         T_base_cloud[:3, :3] = self._networks.R_cloud_base(T_base_camera).T
         T_cloud_model = invert(T_base_cloud) @ T_base_camera @ T_camera_model
@@ -129,7 +133,12 @@ class ModelGrasps:
     def _reaches(
         self, poses: Array, t_ns: int, drawn: _Drawn, palm: Array | None
     ) -> Callable[[int], bool] | None:
-        """Whether the way to a pose is free, and the arm reaches it from where it is, as far as each is known."""
+        """A test of a candidate by its row: is the approach free, and does the arm reach the pose?
+
+        The approach is tested where the palm's pose is known and `way_m` is not 0, the reach where
+        the arm's joint angles are known; None where neither is tested. poses (n, 4, 4): T_base_palm
+        of the candidates.
+        """
         arm, config, candidates = self._arm, self._config.grasps, drawn.candidates
         hand = (
             None
@@ -145,7 +154,8 @@ class ModelGrasps:
             return None
 
         def reaches(row: int) -> bool:
-            kept = candidates.kept and row == len(poses) - 1  # its way is not asked again
+            # the approach of the grasp chosen last is not tested again
+            kept = candidates.kept and row == len(poses) - 1
             if hand is not None and not kept:
                 pose, joints = candidates.T_cloud_palm[row], candidates.joints[row]
                 if not approach_free(drawn.cloud, pose, joints, hand, drawn.support, config):

@@ -1,4 +1,4 @@
-"""The robot's own choice of a grasp, where the log has it, in place of one made here."""
+"""The grasp that the robot itself chose, where the log has it, instead of one chosen here."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class GraspResult:
 
 
 class RecordedGrasps:
-    """The newest recorded grasp, as it was."""
+    """The newest recorded grasp, unchanged."""
 
     def __init__(self, config: Config) -> None:
         self._config = config

@@ -1,6 +1,7 @@
-"""The causal pass: each frame through tracking, observation, registration and fusion, estimation, grasps, servo, execution.
+"""The causal pass: every frame through perception, grasps, servo and execution, in this order.
 
-Open loop: what such a system would have believed and commanded at the recorded states, seeing only the past.
+Open loop: what such a system would have estimated and commanded at the recorded states of the
+robot, from past frames alone.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ if TYPE_CHECKING:
     from dgeval.planning.model_grasps import ModelGrasps
     from dgeval.planning.vfas.replayed import VfasGrasps, VfasResult
 
-
-DEFAULT_HAND = "dlr_hit_hand"  # whose palm frame is taken where no known hand is described
+DEFAULT_HAND = "dlr_hit_hand"  # its palm frame is used where no known hand is described
+# Frames in which a target is searched for where no box is given; at 30 Hz the first second.
+MAX_SEARCHED = 30
 
 
 @dataclass(frozen=True)
@@ -48,9 +50,9 @@ class Control:
 class Step:
     """One frame's stage results, and the wall time of each stage, s.
 
-    perceived: of perception. grasps, control: of the dynamic pipeline; None before there is a grasp.
-    vfas: of the pipeline `vfas`; None before there is a seed. T_base_camera: None where the pose of
-    the camera is not known.
+    grasps, control: of the dynamic pipeline; None before there are candidates, and before there is
+    a grasp. vfas: of the pipeline `vfas`; None before there is a seed. T_base_camera (4, 4): None
+    where the pose of the camera is not known.
     """
 
     frame: Frame
@@ -96,18 +98,18 @@ class Step:
 
 
 def replay(trial: Trial, config: Config, perception: Perception | None = None) -> Iterator[Step]:
-    """Frames of one trial in order. With no camera pose in the log, base quantities are in the camera frame.
+    """The frames of a trial in order, each with the results of its stages.
 
-    `perception`, a new one, is left as it is after the last frame, for the second pass.
+    Without a camera pose in the log, base quantities are in the camera frame. perception: a new
+    one; the second pass uses its state after the last frame.
     """
-    state = perception or Perception(config)
+    perception = perception or Perception(config)
     servo = Servo(config.servo, recorded_hand(trial) or hand_named(DEFAULT_HAND))
-    perceived: Delayed[Any] = Delayed(config.schedule.perception_latency_s)
+    delayed: Delayed[Any] = Delayed(config.schedule.perception_latency_s)
     planner = _planner(trial, config)
     grasps = _grasps(trial, config) if planner is None else None
     moving_base = trial.robot.base_frame is not None
-    given = trial.spec.bbox
-    given_ns = trial.spec.bbox_time_ns
+    given_box, given_box_ns = trial.spec.bbox, trial.spec.bbox_time_ns
     frames = trial.frames()
     while True:
         clock = _Clock()
@@ -117,40 +119,37 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
         clock.lap("read")
         T_base_camera = frame.T_base_camera if moving_base else np.eye(4)
         box = None
-        if given is not None and (given_ns is None or frame.t_ns >= given_ns):
-            box, given = given, None
+        if given_box is not None and (given_box_ns is None or frame.t_ns >= given_box_ns):
+            box, given_box = given_box, None
         elif (
             trial.spec.bbox is None
-            and not state.fusion.model
-            and state.T_camera_model is None
-            and frame.index < 30
+            and not perception.fusion.model
+            and perception.T_camera_model is None
+            and frame.index < MAX_SEARCHED
         ):
             box = find_target(frame, T_base_camera, _palm_at_close(trial), config)
         clock.lap("target")
-        seen = state.step(frame, T_base_camera, box, clock.lap)
-        usable = perceived.step(
-            frame.t_ns, (seen.estimate, seen.model, seen.T_camera_model, T_base_camera)
+        perceived = perception.step(frame, T_base_camera, box, clock.lap)
+        T_camera_model = perceived.T_camera_model
+        usable = delayed.step(
+            frame.t_ns, (perceived.estimate, perceived.model, T_camera_model, T_base_camera)
         )
-        model = seen.model if seen.accepted else None
+        model = perceived.model if perceived.accepted else None
         vfas = None if planner is None else planner.step(frame, T_base_camera)
-        result = (
-            None
-            if grasps is None
-            else grasps.choose(frame, T_base_camera, model, seen.T_camera_model)
-        )
+        result = None
+        if grasps is not None:
+            result = grasps.choose(frame, T_base_camera, model, T_camera_model)
         clock.lap("grasps")
         choice = None if result is None else result.choice
-        control = (
-            None
-            if choice is None
-            else _control(frame, T_base_camera, usable, choice, servo, config)
-        )
+        control = None
+        if choice is not None:
+            control = _control(frame, T_base_camera, usable, choice, servo, config)
         clock.lap("control")
-        yield Step(frame, T_base_camera, clock.seconds, seen, result, control, vfas)
+        yield Step(frame, T_base_camera, clock.seconds, perceived, result, control, vfas)
 
 
 def grasp_source(trial: Trial, config: GraspsConfig) -> str:
-    """`recorded`, `ffhnet` or `none`: what `grasps.source` comes to in this trial."""
+    """`recorded`, `ffhnet` or `none`: what the setting `grasps.source` means for this trial."""
     if config.source != "auto":
         return config.source
     if trial.scan.poses.get(GRASP_TOPIC):
@@ -161,7 +160,7 @@ def grasp_source(trial: Trial, config: GraspsConfig) -> str:
 
 
 def recorded_hand(trial: Trial) -> Hand | None:
-    """The hand of the recorded description; None without one, or of a hand that has no model."""
+    """The hand of the recorded description; None without a description, or of an unknown hand."""
     description = trial.robot.description
     if description is None:
         return None
@@ -174,15 +173,17 @@ def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None
         return RecordedGrasps(config)
     if source == "none":
         return None
-    from dgeval.planning.model_grasps import (
-        ModelGrasps,
-    )  # brings torch, which takes longer to import than all the rest
+    # imports torch, which takes longer than all other imports together
+    from dgeval.planning.model_grasps import ModelGrasps
 
     return ModelGrasps(trial.robot, config)
 
 
 def recorded_seed(trial: Trial) -> Array | None:
-    """T_base_seed (4, 4): another planner's newest proposal at the trial's start, else the first in it; None: none recorded."""
+    """T_base_seed (4, 4): another planner's proposal; None where none is recorded.
+
+    The newest at the trial's first frame, else the first one during the trial.
+    """
     start_ns, end_ns = trial.pairs[0][0], trial.spec.end_ns or trial.pairs[-1][0]
     seeds = sorted(
         (p for p in trial.scan.poses.get(SEED_TOPIC, []) if p.t_ns <= end_ns), key=lambda p: p.t_ns
@@ -195,7 +196,7 @@ def recorded_seed(trial: Trial) -> Array | None:
 def _planner(trial: Trial, config: Config) -> VfasGrasps | None:
     if config.pipeline != "vfas":
         return None
-    from dgeval.planning.vfas.replayed import VfasGrasps  # brings torch
+    from dgeval.planning.vfas.replayed import VfasGrasps  # imports torch
 
     return VfasGrasps(config, recorded_seed(trial))
 
@@ -227,14 +228,17 @@ def _control(
 
 
 def _palm_at_close(trial: Trial) -> Array | None:
-    """Position (3,) of the palm at the recorded close, base frame: where the target must have been."""
+    """Position (3,) of the palm at the recorded close, m, base frame: the target was near it.
+
+    None where no close or no palm pose is recorded.
+    """
     close = trial.event_ns(CLOSE_EVENT)
     T = None if close is None else trial.robot.T_base_palm(close)
     return None if T is None else np.asarray(T[:3, 3])
 
 
 class _Clock:
-    """Seconds per stage; wall time is a measurement of the run and goes into no digest."""
+    """Wall time per stage, s. It differs from run to run, so it is part of no digest."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

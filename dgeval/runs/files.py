@@ -1,4 +1,4 @@
-"""Files of a run folder: written beside and renamed, so that none is ever half there."""
+"""Files of a run folder: written as `.part` and renamed when complete, so none is incomplete."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ import pyarrow.parquet as pq
 
 from dgeval.schema import Column, arrow_schema, arrow_table, check_keys
 
-ROWS_PER_GROUP = 500
+ROWS_PER_GROUP = 500  # rows kept in memory before they are written
 
 
 def file_name(trial: str) -> str:
-    """A trial's id as a file name: path separators and characters that some file systems refuse replaced."""
+    """A trial's id as a file name: `~` for separators and what some file systems refuse."""
     return "".join(c if c.isalnum() or c in "-_.#+" else "~" for c in trial)
 
 
 class TableFile:
-    """A Parquet file written in row groups, so that a long trial never lies in memory; renamed when complete."""
+    """A Parquet file written in row groups, so that a long trial needs little memory.
+
+    A context manager: the file gets its name when the block ends, and is deleted if it raises.
+    """
 
     def __init__(self, path: Path, columns: tuple[Column, ...]) -> None:
         self._path, self._columns = path, columns
@@ -53,12 +56,14 @@ class TableFile:
 
 
 def write_table(path: Path, table: Any) -> None:
+    """Write a pyarrow table as Parquet."""
     part = path.with_name(path.name + ".part")
     pq.write_table(table, part, compression="zstd")
     part.replace(path)
 
 
 def write_atomically(path: Path, text: str) -> None:
+    """Write a text file in UTF-8; its folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_text(text, encoding="utf-8")
@@ -66,7 +71,7 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def write_ply(path: Path, points: Any, normals: Any) -> None:
-    """Binary little-endian PLY, float32 points and normals, model frame, m."""
+    """Write points (n, 3) m and normals (n, 3), model frame, as binary PLY of float32."""
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
     head += (
         "".join(f"property float {n}\n" for n in ("x", "y", "z", "nx", "ny", "nz")) + "end_header\n"

@@ -1,4 +1,4 @@
-"""A run's tables put together from its trials, run.json, and the exit code."""
+"""The end of a run: tables joined from its trials, run.json, and the exit code."""
 
 from __future__ import annotations
 
@@ -25,7 +25,12 @@ from dgeval.schema import (
 
 @dataclass(frozen=True)
 class TrialResult:
-    """What a worker hands back for one trial: its table row (None if it failed), exit code, messages, input hash."""
+    """A worker's result for one trial.
+
+    row: of the trial table; None where the trial failed. sha256: of the recording; None where the
+    trial failed. resumed: kept from an earlier run. review: sizes of the review recording, bytes.
+    traceback: of an internal error.
+    """
 
     id: str
     row: dict[str, Any] | None
@@ -38,7 +43,7 @@ class TrialResult:
 
 
 def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
-    """Put the tables together from the trials' own files and write run.json. Returns the run's exit code."""
+    """Join the tables of the trials, write log.jsonl and run.json; return the run's exit code."""
     out.mkdir(parents=True, exist_ok=True)
     done = sorted((r for r in results if r.row is not None), key=lambda r: r.id)
     rows = [r.row for r in done if r.row is not None]
@@ -70,7 +75,11 @@ def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
 
 
 def exit_code_of(results: list[TrialResult]) -> int:
-    """0 if all is well; 4 for an internal error; 2 if nothing could be read; 3 if something was lost, the rest done."""
+    """The exit code of a run from those of its trials.
+
+    4 after an internal error; 2 or the trials' highest code if all failed; 3 if data was lost or
+    some trials failed; else 0.
+    """
     codes = {r.exit_code for r in results}
     if EXIT_INTERNAL in codes:
         return EXIT_INTERNAL

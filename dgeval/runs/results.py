@@ -23,17 +23,18 @@ class Run:
     timings: pd.DataFrame
 
     def frames(self, trial: str) -> pd.DataFrame:
+        """The frame table of a trial, by the trial's id."""
         return pd.read_parquet(self.folder / "frames" / f"{file_name(trial)}.parquet")
 
     def hindsight(self, trial: str) -> pd.DataFrame | None:
-        """None where the object was never tracked or there was no grasp to look back at."""
+        """The hindsight table; None where the object was never tracked or there was no grasp."""
         path = self.folder / "hindsight" / f"{file_name(trial)}.parquet"
         rows = pd.read_parquet(path) if path.is_file() else None
         return None if rows is None or not len(rows) else rows
 
 
 def read_run(folder: Path) -> Run:
-    """UsageError where the folder is not a finished run."""
+    """Read a run folder; UsageError where it is not a finished run."""
     try:
         about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
         trials = pd.read_parquet(folder / "trials.parquet")

@@ -1,4 +1,4 @@
-"""The run folder: what one trial writes, its commit mark, resuming, and the tables put together at the end."""
+"""Replay of one trial into the run folder: its files, its commit mark, and resuming."""
 
 from __future__ import annotations
 
@@ -43,13 +43,17 @@ from dgeval.schema import (
 from dgeval.verdict.judge import Judgement, judge
 from dgeval.verdict.picture import decisive_picture
 
-MAX_RECENT = 400  # images kept to draw the decisive moment on, as they were compressed
-# Makes the object that writes a trial's review recording: add(step) per frame, close(path) at the end.
+MAX_RECENT = 400  # compressed images kept, of which one becomes the picture of the decisive moment
+# Makes the object that writes a trial's review recording: add(step) for each frame, at the end
+# close(path, hindsight, judgement).
 ReviewFactory = Callable[[Path, Trial, ReviewConfig], Any]
 
 
 def resume_key(spec: TrialSpec, config: Config, sha256: str) -> str:
-    """What a trial's result depends on. The recording's place and name are not part of it; its content is."""
+    """SHA-256 of all that a trial's result depends on, to tell whether it can be kept.
+
+    The recording's content is part of it; its folder and name are not.
+    """
     about = {k: v for k, v in asdict(spec).items() if k != "recording"}
     text = json.dumps(
         [__version__, SCHEMA_VERSION, config.model_dump(mode="json"), about, sha256], sort_keys=True
@@ -68,10 +72,11 @@ def replay_trial(
 ) -> TrialResult:
     """Replay one trial into the run folder; the commit mark `trials/<trial>.json` is written last.
 
-    sha256: of the recording where it is known already.
+    review: None writes no review recording. force: replay also what is finished. progress(done,
+    total): called after each frame. sha256: of the recording where it is known already.
 
-    Known errors become messages with an exit code; so does an unknown one, whose traceback goes
-    into the run's log.
+    Errors become messages with an exit code. The traceback of an internal error goes into the
+    run's log.
     """
     limit_threads()
     try:
@@ -118,7 +123,7 @@ def _replay_trial(
     for folder in ("frames", "models", "review", "trials"):
         (out / folder).mkdir(parents=True, exist_ok=True)
 
-    view = (
+    review_writer = (
         review(out / "review" / f"{name}.rrd.part", trial, config.review)
         if review is not None
         else None
@@ -130,11 +135,10 @@ def _replay_trial(
     last_ns = trial.pairs[-1][0]
     close_ns = trial.event_ns(CLOSE_EVENT)
     perception = Perception(config)
-    seen: list[Seen] = []
+    observed: list[Seen] = []
     surface = Surface()
-    recent: deque[tuple[int, Array | None, bytes]] = deque(
-        maxlen=MAX_RECENT
-    )  # for the picture of the decisive moment
+    # time ns, T_base_camera and image, for the picture of the decisive moment
+    recent: deque[tuple[int, Array | None, bytes]] = deque(maxlen=MAX_RECENT)
     frames_path = out / "frames" / f"{name}.parquet"
     timings_path = out / "trials" / f"{name}.timings.parquet"
     with (
@@ -158,30 +162,30 @@ def _replay_trial(
                 t_execute_ns = step.frame.t_ns
             model = step.model if step.model is not None else model
             last_ns = step.frame.t_ns
-            if (known := seen_of(step)) is not None:
-                seen.append(known)
+            if (observation := seen_of(step)) is not None:
+                observed.append(observation)
             if step.accepted and step.model is not None:
                 surface.add(step.model)
             if close_ns is None or step.frame.t_ns <= close_ns:
                 recent.append((step.frame.t_ns, step.T_base_camera, _as_jpeg(step)))
-            if view is not None:
-                view.add(step)
+            if review_writer is not None:
+                review_writer.add(step)
             if progress is not None:
                 progress(step.frame.index + 1, len(trial.pairs))
-        begun = time.perf_counter()
-        hindsight = look_back(trial, seen, surface, perception, config)
-        looked = time.perf_counter()
+        start = time.perf_counter()
+        hindsight = look_back(trial, observed, surface, perception, config)
+        hindsight_done = time.perf_counter()
         judgement = judge(trial, hindsight, config)
         for stage, seconds in (
-            ("hindsight", looked - begun),
-            ("verdict", time.perf_counter() - looked),
+            ("hindsight", hindsight_done - start),
+            ("verdict", time.perf_counter() - hindsight_done),
         ):
             timings_table.add(
                 {"trial": spec.id, "frame": counts.frames, "stage": stage, "seconds": seconds}
             )
     sizes = (
-        view.close(out / "review" / f"{name}.rrd", hindsight, judgement)
-        if view is not None
+        review_writer.close(out / "review" / f"{name}.rrd", hindsight, judgement)
+        if review_writer is not None
         else None
     )
     if hindsight is not None:
@@ -216,17 +220,18 @@ def trial_row(
 ) -> tuple[dict[str, Any], int, list[str]]:
     """The trial's row without its digests, the exit code, and messages for the user.
 
-    t_execute_ns: first frame in which the replay would have closed. last_ns: time of the last frame.
+    t_execute_ns: time of the first frame in which the replay would have closed. last_ns: time of
+    the last frame.
     """
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
     exit_code = EXIT_DATA_LOST if trial.damage else EXIT_OK
     unmatched = trial.n_unmatched_colour
-    seen = unmatched + len(trial.pairs)
-    if unmatched and unmatched / seen > config.sync.max_unmatched_share:
+    n_colour = unmatched + len(trial.pairs)
+    if unmatched and unmatched / n_colour > config.sync.max_unmatched_share:
         exit_code = EXIT_DATA_LOST
         messages.append(
-            f"{unmatched} of {seen} colour images have no depth image near enough in time"
+            f"{unmatched} of {n_colour} colour images have no depth image near enough in time"
         )
     row: dict[str, Any] = {
         "trial": spec.id,
@@ -254,17 +259,23 @@ def trial_row(
 
 
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:
+    """The rows of the table `hindsight`."""
     return [
         {
-            "frame": m.index, "t_ns": m.t_ns, "by": m.by, "sd": m.sd, "hand_distance": m.distance, "hand_link": m.link,
+            "frame": m.index,
+            "t_ns": m.t_ns,
+            "by": m.by,
+            "sd": m.sd,
+            "hand_distance": m.distance,
+            "hand_link": m.link,
             **pose_columns("object", m.T_base_model),
         }
         for m in hindsight.moments
-    ]  # fmt: skip
+    ]
 
 
 def _as_jpeg(step: Step) -> bytes:
-    """The colour image as recorded if that was compressed, else as JPEG: small enough to keep some hundred of them."""
+    """The colour image as recorded if it was compressed, else as JPEG, so that many fit memory."""
     if step.frame.colour_file is not None:
         return step.frame.colour_file
     return cv2.imencode(".jpg", step.frame.colour[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[
@@ -279,8 +290,11 @@ def _write_picture(
     hindsight: Hindsight,
     trial: Trial,
 ) -> None:
-    """The frame nearest to the decisive moment (the last one without such a moment), drawn over."""
-    wanted = (
+    """Draw the frame nearest to the decisive moment; without such a moment the last frame.
+
+    recent: time ns, T_base_camera (4, 4) and compressed image of the frames to choose from.
+    """
+    wanted_ns = (
         judgement.decisive_ns
         if judgement.decisive_ns is not None
         else recent[-1][0]
@@ -290,11 +304,11 @@ def _write_picture(
     usable = [r for r in recent if r[1] is not None]
     if not usable:
         return
-    t_ns, T_base_camera, data = min(usable, key=lambda r: abs(r[0] - wanted))
+    t_ns, T_base_camera, data = min(usable, key=lambda r: abs(r[0] - wanted_ns))
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert T_base_camera is not None
-    said = judgement.row.failure_class or judgement.row.outcome
-    title = f"{trial.spec.id}  {(t_ns - trial.pairs[0][0]) * 1e-9:.2f} s  {said}"
+    label = judgement.row.failure_class or judgement.row.outcome
+    title = f"{trial.spec.id}  {(t_ns - trial.pairs[0][0]) * 1e-9:.2f} s  {label}"
     drawn = decisive_picture(
         np.asarray(image, dtype=np.uint8), t_ns, T_base_camera, trial.camera, hindsight, title
     )
@@ -305,12 +319,12 @@ def _write_picture(
 
 
 def _committed(mark: Path, key: str, out: Path, name: str, review: bool) -> dict[str, Any] | None:
-    """The commit mark of a finished trial with the same inputs, if everything it stands for is there."""
+    """The commit mark of a finished trial with the same inputs, if all its files are there."""
     try:
         kept: dict[str, Any] = json.loads(mark.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    wanted = [out / "frames" / f"{name}.parquet", out / "trials" / f"{name}.timings.parquet"]
+    needed = [out / "frames" / f"{name}.parquet", out / "trials" / f"{name}.timings.parquet"]
     if review:
-        wanted.append(out / "review" / f"{name}.rrd")
-    return kept if kept.get("key") == key and all(p.is_file() for p in wanted) else None
+        needed.append(out / "review" / f"{name}.rrd")
+    return kept if kept.get("key") == key and all(p.is_file() for p in needed) else None

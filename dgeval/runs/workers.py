@@ -1,4 +1,7 @@
-"""Trials over local processes: spawned, one thread each, results independent of their number."""
+"""Trials in parallel on local processes, one thread each.
+
+Results don't depend on the number of processes.
+"""
 
 from __future__ import annotations
 

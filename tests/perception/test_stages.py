@@ -321,7 +321,8 @@ def test_observations_are_put_into_the_model_frame() -> None:
 def test_velocity_filter_reproduces_the_measured_table(
     sigma_a: float, rmse_mm: float, to_90: float, drift_mm: float
 ) -> None:
-    """Catches a filter whose error, rise time or drift differs by over 20 % from docs/papers.md, "Velocity filter".
+    """Catches a filter whose error, rise time or drift differs by over 20 % from docs/papers.md,
+    "Velocity filter".
 
     30 Hz, 4 mm noise, 0.2 m/s from t = 1 s on.
     """

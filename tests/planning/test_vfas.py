@@ -312,7 +312,7 @@ def test_leading_eight_alone_are_tried_with_noise() -> None:
 
 
 def test_region_grows_by_30_percent_up_to_three_and_falls_back() -> None:
-    """Catches another growth than the paper's: 1, 1.3, 1.69, 2.197, 2.856, 3, and N in proportion."""
+    """Catches another growth than the paper's (1, 1.3, 1.69, 2.197, 2.856, 3), or N not in step."""
     good = [False]
     relative: list[np.ndarray] = []
     config = VfasConfig(k1=0.0, k2=0.0, low_pass=False)

@@ -1,4 +1,6 @@
-"""On the real recordings. Catches: containers that disagree, a track that jumps or never says lost, wrong data in silence."""
+"""On real recordings. Catches containers that disagree, a track that jumps or is never lost, and
+recordings without images that are replayed or end in a traceback.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +17,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def frames(out: Path) -> pd.DataFrame:
+    """The frame table of a run of one trial."""
     return pd.read_parquet(next((out / "frames").glob("*.parquet")))
 
 
@@ -35,7 +38,10 @@ def mug(real_data: Path, dgeval: Run, tmp_path_factory: pytest.TempPathFactory) 
 
 
 def test_the_mug_is_followed_until_it_leaves_then_lost(mug: Path) -> None:
-    """It has no depth of its own here (nearer than the camera's 0.8 m), so it is followed in colour, and no pose is made up."""
+    """Catches a track that jumps or goes on after the mug has left, and a pose given without depth.
+
+    The mug is nearer than the camera's 0.8 m, so it has no depth and is followed in colour.
+    """
     table = frames(mug)
     assert len(table) == 96
     lost = table["tracking"] == "lost"
@@ -53,7 +59,7 @@ def test_the_mug_is_followed_until_it_leaves_then_lost(mug: Path) -> None:
 
 
 def test_the_second_box_is_met(mug: Path) -> None:
-    """Frame 35 has a box drawn by hand: 290, 374, 378, 465."""
+    """Catches a track beside the mug: overlap (IoU) with a box drawn by hand in frame 35."""
     row = frames(mug).iloc[35]
     x0, y0, x1, y1 = (row[f"box_{c}"] for c in ("x0", "y0", "x1", "y1"))
     w, h = min(x1, 378) - max(x0, 290), min(y1, 465) - max(y0, 374)
@@ -63,6 +69,7 @@ def test_the_second_box_is_met(mug: Path) -> None:
 def test_bag_and_mcap_of_the_same_frames_are_equal(
     real_data: Path, dgeval: Run, tmp_path: Path
 ) -> None:
+    """Catches a container that drops frames, changes their times or decodes images differently."""
     box = ("--bbox", "290,374,378,465", "--no-review")
     a = dgeval("replay", real_data / "kitchen_mug.bag", *box, "--out", tmp_path / "bag")
     b = dgeval(
@@ -86,6 +93,7 @@ def test_bag_and_mcap_of_the_same_frames_are_equal(
 def test_wrist_camera_folder_and_bare_file_run(
     real_data: Path, dgeval: Run, tmp_path: Path
 ) -> None:
+    """Catches a db3 file that is read differently without its folder."""
     box = ("--bbox", "348,255,490,393", "--no-review")
     folder = dgeval("replay", real_data / "apc_wrist_db3", *box, "--out", tmp_path / "a")
     bare = dgeval(
@@ -102,11 +110,12 @@ def test_wrist_camera_folder_and_bare_file_run(
 def test_logs_without_a_camera_are_inspected_and_refused(
     real_data: Path, dgeval: Run, tmp_path: Path, name: str
 ) -> None:
+    """Catches a traceback, or a message without the file's name, where there are no images."""
     done = dgeval("inspect", real_data / name, "--json")
     assert done.returncode in (0, 3), done.stderr
-    found = json.loads(done.stdout)
-    assert "none in this format" in found["checksums"]
-    assert not found["answers"][0]["can"]
+    report = json.loads(done.stdout)
+    assert "none in this format" in report["checksums"]
+    assert not report["answers"][0]["can"]
     replayed = dgeval("replay", real_data / name, "--out", tmp_path / "r", "--no-review")
     assert replayed.returncode == 2
     assert "Traceback" not in replayed.stderr

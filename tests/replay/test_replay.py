@@ -1,5 +1,8 @@
-"""End to end on the demo recording, whose truth is known. Catches: frames mixed up, the hand fused into the target,
-results that depend on file name, workers or luck, runs that can't be resumed, text on standard output beside JSON."""
+"""End to end on the demo recording, whose truth is known.
+
+Catches frames that are mixed up, the hand fused into the target, results that depend on file name,
+number of processes or chance, runs that can't be resumed, and text on standard output beside JSON.
+"""
 
 from __future__ import annotations
 
@@ -35,29 +38,32 @@ DIGESTS = [
 
 
 def trials(folder: Path) -> pd.DataFrame:
+    """The trial table of a run."""
     return pd.read_parquet(folder / "trials.parquet")
 
 
 @pytest.fixture(scope="module")
 def frames(demo_run: Path) -> pd.DataFrame:
+    """The frame table of the demo."""
     return pd.read_parquet(demo_run / "frames" / "demo.parquet")
 
 
 def test_velocity_of_the_belt_is_found(frames: pd.DataFrame) -> None:
-    seen = frames[(frames["tracking"] == "tracked") & (frames["frame"] > 6)]
-    assert np.abs(seen["velocity_y"] - 0.08).max() < 0.006
-    assert np.abs(seen[["velocity_x", "velocity_z"]]).to_numpy().max() < 0.006
+    """Catches a velocity in the wrong frame or unit: the belt moves at 0.08 m/s along base y."""
+    tracked = frames[(frames["tracking"] == "tracked") & (frames["frame"] > 6)]
+    assert np.abs(tracked["velocity_y"] - 0.08).max() < 0.006
+    assert np.abs(tracked[["velocity_x", "velocity_z"]]).to_numpy().max() < 0.006
 
 
 def test_feature_moves_with_the_true_object(demo: Path, frames: pd.DataFrame) -> None:
-    """In the base frame, through joints, description, hand–eye, tracking and registration, to 2 mm."""
+    """Catches an error over 2 mm in joints, description, hand–eye, tracking or registration."""
     truth = scan(open_container(demo)).poses["/truth/object_pose"]
     T0 = matrix_from_pose(truth[0].pose)
-    seen = frames[
+    accepted = frames[
         frames["icp_accepted"].fillna(False).to_numpy(dtype=bool) & (frames["n_observed"] > 900)
     ]
     local = []
-    for row in seen.to_dict("records"):
+    for row in accepted.to_dict("records"):
         T = matrix_from_pose(truth[row["frame"]].pose)
         point = np.array([[row["feature_px"], row["feature_py"], row["feature_pz"]]])
         local.append(transform(np.linalg.inv(T), point)[0])
@@ -67,7 +73,7 @@ def test_feature_moves_with_the_true_object(demo: Path, frames: pd.DataFrame) ->
 
 
 def test_the_hand_is_not_fused_into_the_target(demo_run: Path) -> None:
-    """The box is 90 x 56 x 70 mm; a finger in the model would make it longer."""
+    """Catches a finger in the model: it would make the box, 90 x 56 x 70 mm, longer."""
     data = (demo_run / "models" / "demo.ply").read_bytes()
     points = np.frombuffer(data[data.index(b"end_header\n") + 11 :], "<f4").reshape(-1, 6)[:, :3]
     centred = points - points.mean(axis=0)
@@ -76,7 +82,8 @@ def test_the_hand_is_not_fused_into_the_target(demo_run: Path) -> None:
     assert spread.max() < 0.08
 
 
-def test_losses_and_blind_frames_are_told(frames: pd.DataFrame) -> None:
+def test_losses_and_blind_frames_are_recorded(frames: pd.DataFrame) -> None:
+    """Catches a loss without a reason, and a pose that is kept for over 1 s or dropped at once."""
     lost = frames[frames["tracking"] == "lost"]
     assert len(lost) > 20
     assert lost["box_x0"].isna().all()
@@ -89,6 +96,7 @@ def test_losses_and_blind_frames_are_told(frames: pd.DataFrame) -> None:
 
 
 def test_servo_and_execution_follow_the_recorded_grasp(frames: pd.DataFrame) -> None:
+    """Catches an error to another pose, a threshold off by a frame, a twist away from the grasp."""
     assert (frames["n_grasps"] == 1).all()
     late = frames[frames["t_ns"] > frames["t_ns"].iloc[0] + 3_000_000_000]
     assert late["error_linear"].max() < 0.002
@@ -102,6 +110,7 @@ def test_servo_and_execution_follow_the_recorded_grasp(frames: pd.DataFrame) -> 
 
 
 def test_trial_row_says_what_ran_and_what_is_known(demo_run: Path) -> None:
+    """Catches an outcome without its source, and a stand-in that no note names."""
     row = trials(demo_run).iloc[0]
     assert (row["outcome"], row["outcome_source"], row["self_filter"], row["base_frame"]) == (
         "success", "label", "geometry", "base_link",
@@ -116,7 +125,7 @@ def test_trial_row_says_what_ran_and_what_is_known(demo_run: Path) -> None:
 
 @pytest.fixture(scope="module")
 def two_trials(demo: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A manifest of two short trials, so that two workers have something to share."""
+    """A manifest of two short trials, one for each of two processes."""
     folder = tmp_path_factory.mktemp("manifest")
     text = 'name = "pair"\n'
     for name, a, b in (("early", 0, 14), ("later", 14, 26)):
@@ -126,6 +135,7 @@ def two_trials(demo: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def digests(folder: Path) -> list[list[str]]:
+    """The digests of each trial of a run, in the order of `DIGESTS`."""
     table = trials(folder).sort_values("trial")
     return table[DIGESTS].to_numpy().tolist()
 
@@ -133,6 +143,7 @@ def digests(folder: Path) -> list[list[str]]:
 def test_same_digests_for_any_jobs_name_and_repetition(
     dgeval: Run, demo: Path, two_trials: Path, tmp_path: Path
 ) -> None:
+    """Catches results that depend on processes, file name or chance, and a seed without effect."""
     outs = []
     for i, extra in enumerate((["--jobs", "1"], ["--jobs", "2"])):
         out = tmp_path / f"r{i}"
@@ -174,6 +185,7 @@ def test_same_digests_for_any_jobs_name_and_repetition(
 def test_finished_trials_are_kept_and_interrupted_ones_done_again(
     dgeval: Run, two_trials: Path, tmp_path: Path
 ) -> None:
+    """Catches a finished trial replayed, and one kept that is incomplete or of other settings."""
     out = tmp_path / "run"
     assert dgeval("replay", two_trials, "--out", out, "--no-review").returncode == 0
     before = digests(out)
@@ -193,6 +205,7 @@ def test_finished_trials_are_kept_and_interrupted_ones_done_again(
 
 
 def test_json_is_the_only_thing_on_standard_output(dgeval: Run, demo: Path, tmp_path: Path) -> None:
+    """Catches progress or messages that a program that reads the JSON stumbles over."""
     done = dgeval(
         "replay", demo, "--frames", "0:4", "--out", tmp_path / "r", "--no-review", "--json"
     )
@@ -218,6 +231,7 @@ def test_json_is_the_only_thing_on_standard_output(dgeval: Run, demo: Path, tmp_
 def test_wrong_calls_end_with_2_and_a_sentence(
     dgeval: Run, demo: Path, tmp_path: Path, arguments: tuple[str, ...]
 ) -> None:
+    """Catches a wrong argument that is ignored, or that ends in a traceback."""
     done = dgeval("replay", demo, "--out", tmp_path / "r", "--no-review", *arguments)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
@@ -225,6 +239,7 @@ def test_wrong_calls_end_with_2_and_a_sentence(
 
 
 def test_a_box_in_a_later_frame_starts_there(demo: Path, dgeval: Run, tmp_path: Path) -> None:
+    """Catches a box used in the first frame in spite of its time."""
     from dgeval.config import load_config
 
     trial = open_trial(find_trials([demo])[0], load_config())
@@ -238,6 +253,7 @@ def test_a_box_in_a_later_frame_starts_there(demo: Path, dgeval: Run, tmp_path: 
 
 
 def test_box_tracker_runs_the_same_path(dgeval: Run, demo: Path, tmp_path: Path) -> None:
+    """Catches stages that need the model tracker's pose: CSRT gives only a box."""
     done = dgeval(
         "replay",
         demo,
@@ -260,6 +276,7 @@ def test_box_tracker_runs_the_same_path(dgeval: Run, demo: Path, tmp_path: Path)
 def test_other_registration_libraries_reach_the_same_velocity(
     dgeval: Run, demo: Path, tmp_path: Path, method: str
 ) -> None:
+    """Catches a registration library whose pose is used inverted or in another frame."""
     done = dgeval(
         "replay",
         demo,
@@ -277,6 +294,7 @@ def test_other_registration_libraries_reach_the_same_velocity(
 
 
 def test_config_show_loads_again(dgeval: Run, demo: Path, tmp_path: Path) -> None:
+    """Catches a printed configuration that can't be loaded or loses a setting."""
     shown = dgeval("config", "show", "--set", "fusion.n_s=3")
     (tmp_path / "mine.toml").write_text(shown.stdout)
     again = dgeval("config", "show", "--pipeline", tmp_path / "mine.toml")
@@ -285,6 +303,7 @@ def test_config_show_loads_again(dgeval: Run, demo: Path, tmp_path: Path) -> Non
 
 
 def test_help_of_every_command_has_examples(dgeval: Run) -> None:
+    """Catches a command whose help has no example."""
     for name in ("replay", "report", "inspect", "view"):
         done = dgeval(name, "--help")
         assert done.returncode == 0
@@ -292,16 +311,17 @@ def test_help_of_every_command_has_examples(dgeval: Run) -> None:
 
 
 def test_inspect_names_roles_events_and_answers(dgeval: Run, demo: Path) -> None:
+    """Catches a wrong role, a lost event, and a question that is said to have no answer."""
     done = dgeval("inspect", demo, "--json")
-    found = json.loads(done.stdout)
-    assert found["roles"]["colour"] == "/camera/color/image_raw/compressed"
-    assert found["roles"]["camera_pose"] == "base_link → camera_color_optical_frame"
-    assert [e["event"] for e in found["events"]] == [
+    report = json.loads(done.stdout)
+    assert report["roles"]["colour"] == "/camera/color/image_raw/compressed"
+    assert report["roles"]["camera_pose"] == "base_link → camera_color_optical_frame"
+    assert [e["event"] for e in report["events"]] == [
         "trial_start",
         "close",
         "lift",
         "label",
         "trial_end",
     ]
-    assert all(a["can"] for a in found["answers"])
-    assert "CRC-32" in found["checksums"]
+    assert all(a["can"] for a in report["answers"])
+    assert "CRC-32" in report["checksums"]

@@ -1,4 +1,4 @@
-"""VFAS-Grasp over a recording: an iteration at its period, at the recorded gripper states."""
+"""VFAS-Grasp on a recording: one iteration per period, at the recorded gripper poses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
 from dgeval.planning.vfas.selection import Selected
 from dgeval.recording.frame import Frame
 
-EARLY = 0.8  # of a period; a frame that comes this early still begins an iteration
+EARLY = 0.8  # share of a period after which a frame begins the next iteration
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,10 @@ class VfasResult:
 
 
 class VfasGrasps:
-    """T_base_seed: another planner's proposal; None: as `VfasLoop` makes one."""
+    """The planner over the frames of a trial, with its latency.
+
+    T_base_seed (4, 4): another planner's proposal; None: `VfasLoop` makes one.
+    """
 
     def __init__(self, config: Config, T_base_seed: Array | None) -> None:
         self._config = config
@@ -40,7 +43,10 @@ class VfasGrasps:
         self._next_ns = 0
 
     def step(self, frame: Frame, T_base_camera: Array | None) -> VfasResult | None:
-        """One frame; None before there is a seed. No iteration where the camera's pose is unknown."""
+        """The newest usable iteration at a frame; None before there is one.
+
+        T_base_camera (4, 4): None where it is not known, then the frame begins no iteration.
+        """
         config, hand = self._config.vfas, frame.T_base_palm
         if T_base_camera is not None and frame.t_ns >= self._next_ns:
             self._next_ns = frame.t_ns + round(EARLY * config.period_s * 1e9)
