@@ -58,7 +58,7 @@ def regress(
     from dgeval.compare.output import as_html, as_json, as_markdown
     from dgeval.compare.review import write_difference
     from dgeval.config import load_config
-    from dgeval.errors import EXIT_OK, UsageError
+    from dgeval.errors import EXIT_OK, EXIT_WORSE, UsageError
     from dgeval.recording.containers.container import sha256_of
     from dgeval.recording.manifest import find_trials
     from dgeval.regress import (
@@ -111,7 +111,7 @@ def regress(
         )
         if json_:
             print_json({"baseline": str(baseline), "written": True, "reason": reason})
-        raise typer.Exit(1)
+        raise typer.Exit(EXIT_WORSE)
     with tempfile.TemporaryDirectory() as folder:
         about, before = read_baseline(baseline, Path(folder))
         check_dataset(about, name, specs, baseline)
@@ -152,7 +152,7 @@ def regress(
             typer.echo(f"look: {out / 'regress.html'}")
     if c.conclusion in UNDECIDED:
         typer.echo(f"warning: {c.conclusion}", err=True)
-    raise typer.Exit(1 if not passed else code)
+    raise typer.Exit(code if passed else EXIT_WORSE)
 
 
 def _refuse_uncommitted() -> None:

@@ -14,12 +14,12 @@ from typing import Any
 
 import pandas as pd
 
+from dgeval.failure_rule import CLASSES
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import TRUTH_VERDICT_TOPIC
 from dgeval.recording.manifest import find_trials
 from dgeval.statistics import confusion, macro_f1, wilson
 
-CLASSES = ("imprecise_pose", "collision", "timing")
 LABELS = {
     "imprecise_pose": "imprecise pose",
     "collision": "collision",

@@ -24,7 +24,7 @@ from dgeval.verdict.beliefs import Beliefs
 
 # Development trials are those of `python -m benchmarks.verdict --seed 2000` (scenario failures),
 # `--scenario handover --seed 77`, and the 120 rendered ones of `dgeval simulate conveyor`.
-# m, standard deviation of the object's place beyond which step 1 stops; development trials
+# m, standard deviation of the object's place beyond which step 1 stops; ours
 BLIND_SD_M = 0.025
 # draws, added to each class: three draws that agree are right in 9 of 10 development trials
 PRIOR = 0.15
@@ -34,18 +34,18 @@ TRUSTED = 0.05
 RARELY = 0.25
 # weighted share of the draws in which removing an error must restore success: a majority
 ENOUGH = 0.5
-# m; five of six grasps survive 4 mm and 3 degrees, hindsight is off by 2 to 4 mm (benchmarks.truth)
+# m; five of six grasps survive 4 mm and 3 degrees, hindsight is off by 2 to 4 mm
 TOLERANCE_M = 0.007
-# m, likewise for a hand that never closed, where nothing can be tried again; development trials
+# m, likewise for a hand that never closed, where nothing can be tried again; ours
 NEVER_CLOSED_M = 0.012
-GAIN_LEAST = 0.15  # 1/s; a lower level gain is no servo at work; development trials
-# upright over level gain, or its inverse, beyond which the law is wrong; development trials
+GAIN_LEAST = 0.15  # 1/s; a lower level gain is no servo at work; ours
+# upright over level gain, or its inverse, beyond which the law is wrong; ours
 GAINS_APART = 1.6
-# times TOLERANCE_M; of a part that is to blame though the twin fails without it; development trials
+# times TOLERANCE_M; of a part that is to blame though the twin fails without it; ours
 HUGE = 5.0
-# probability where a part is blamed because it alone is off; share right on development trials
+# probability where a part is blamed because it alone is off; chosen on development trials
 ALONE = 0.7
-# times the next largest error, where several restore success or only all do; development trials
+# times the next largest error, where several restore success or only all do; ours
 CLEARLY, CLEARLY_ALL = 1.5, 2.0
 
 

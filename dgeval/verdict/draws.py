@@ -16,17 +16,16 @@ from dgeval.verdict.geometric import geometric_draw
 from dgeval.verdict.twin import Twin
 from dgeval.worlds.shape import solid_from_cloud
 
-# Development trials: see `decide`.
-# weight of a draw in which the recorded failure does not happen; development trials
+# weight of a draw in which the recorded failure does not happen; ours
 NOT_REPRODUCED = 0.3
 # draws in which the recorded approach and close are tried, the later half twice as wide
 PROBES = 12
 PROBES_MOST = 30  # draws, where few of them agree with the log
-MOST = 7  # draws that are asked, where fewer do not agree; costs some 1.5 s each
-# m; of where the object is while the hand is at it: registration, docs/simulation.md
+MOST = 7  # draws that are asked, where fewer do not agree
+# m; of where the object is while the hand is at it; ours
 STRAYED_SD = 0.002
-SD_LEAST_M, SD_LEAST_DEG = 0.0015, 1.0  # nothing is known better than that (benchmarks.truth)
-# wider draws hardly ever agree with the log; development trials
+SD_LEAST_M, SD_LEAST_DEG = 0.0015, 1.0  # nothing is known better than that; ours
+# draws are no wider than that; ours
 SD_MOST_M, SD_MOST_DEG = 0.006, 5.0
 SD_FRICTION, SD_MASS = 0.15, 0.7  # of logarithms; household objects have 70 to 900 kg/m^3
 

@@ -81,12 +81,10 @@ class Twin(HandAndObject):
         rest = float(centre[2]) if scene.held else self.target.rest_height()
         super().__init__(model, scene.gripper, rest)
         model.geom_friction[self.object_geoms, 0] *= friction
-        self._hand = int(model.joint("hand").qposadr[0])
         self._hand_dof = int(model.joint("hand").dofadr[0])
         # nothing pushes a recorded hand: with a small inertia the solver would let part of each
         # contact go into moving it
         model.dof_armature[self._hand_dof : self._hand_dof + 6] = 1e5
-        self._handle = int(model.body("handle").mocapid[0])
         self._presenter = int(model.body("presenter").mocapid[0]) if scene.held else None
         self._first = self._begin(centre, scene)
         # the belt is not endless: its middle is the middle of the path
@@ -129,15 +127,10 @@ class Twin(HandAndObject):
         d = self.data
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, T[:3, :3].ravel())
-        d.mocap_pos[self._handle], d.mocap_quat[self._handle] = T[:3, 3], quat
-        d.qpos[self._hand : self._hand + 3], d.qpos[self._hand + 3 : self._hand + 7] = (
-            T[:3, 3],
-            quat,
-        )
+        self.fly_to(np.concatenate([T[:3, 3], quat]))
         d.qvel[self._hand_dof : self._hand_dof + 3] = velocity
-        d.qvel[self._hand_dof + 3 : self._hand_dof + 6] = (
-            T[:3, :3].T @ spin
-        )  # a free joint's spin is in the body's axes
+        # a free joint's spin is in the body's axes
+        d.qvel[self._hand_dof + 3 : self._hand_dof + 6] = T[:3, :3].T @ spin
 
     def put_object(self, tick: int) -> None:
         """The object undisturbed at a tick; `mj_forward` is the caller's."""
@@ -178,9 +171,8 @@ class Twin(HandAndObject):
         angle = 2 * np.arccos(min(1.0, abs(float(turn @ now[3:]))))
         if apart < RESYNC_M and (self.target.rolls or angle < RESYNC_RAD):
             return [apart]
-        d.qpos[self.object : self.object + 7] = [*place, *turn]
-        d.qvel[self.object_dof : self.object_dof + 6] = [*self.scene.velocity, 0, 0, 0]
-        d.qacc_warmstart[:] = 0
+        velocity = np.array([*self.scene.velocity, 0, 0, 0])
+        self.place_object(np.array([*place, *turn]), velocity)
         mujoco.mj_forward(self.model, d)
         return [apart]
 
@@ -201,8 +193,7 @@ class Twin(HandAndObject):
 
     def restore(self, state: Array) -> None:
         self.set_state(state)
-        self.data.mocap_pos[self._handle] = self.data.qpos[self._hand : self._hand + 3]
-        self.data.mocap_quat[self._handle] = self.data.qpos[self._hand + 3 : self._hand + 7]
+        self.fly_to(self.data.qpos[self._hand : self._hand + 7].copy())
         mujoco.mj_forward(self.model, self.data)
 
     def _move(self, T: Array, velocity: Array, spin: Array) -> Array:

@@ -72,7 +72,11 @@ class HandAndObject:
         self.is_object = np.array([s.name.startswith("object_") for s in solids])
         self.hand_geoms: list[int] = np.flatnonzero(self.is_hand).tolist()
         self.object_geoms: list[int] = np.flatnonzero(self.is_object).tolist()
-        self.presented = any(model.equality(e).name == GRIP for e in range(model.neq))
+        # -1 in a world without a person who holds the object
+        self._grip = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_EQUALITY, GRIP)
+        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "handle") >= 0:  # a flying hand
+            self._hand = int(model.joint("hand").qposadr[0])
+            self._handle = int(model.body("handle").mocapid[0])
         self._names = {g: solids[g].name for g in self.hand_geoms}
         self._size = mujoco.mj_stateSize(model, INTEGRATION)
 
@@ -106,11 +110,9 @@ class HandAndObject:
 
     def fly_to(self, pose_wxyz: Array) -> None:
         """Move a hand on its handle to a pose (7,) of its base, in MuJoCo's order."""
-        at = int(self.model.joint("hand").qposadr[0])
-        handle = int(self.model.body("handle").mocapid[0])
-        self.data.qpos[at : at + 7] = pose_wxyz
-        self.data.mocap_pos[handle] = pose_wxyz[:3]
-        self.data.mocap_quat[handle] = pose_wxyz[3:]
+        self.data.qpos[self._hand : self._hand + 7] = pose_wxyz
+        self.data.mocap_pos[self._handle] = pose_wxyz[:3]
+        self.data.mocap_quat[self._handle] = pose_wxyz[3:]
 
     def update_contacts(self) -> None:
         """Compute positions and contacts of the poses that were set, without dynamics."""
@@ -161,11 +163,11 @@ class HandAndObject:
     @property
     def held_by_presenter(self) -> bool:
         """Whether a person still holds the object."""
-        return self.presented and bool(self.data.eq_active[self.model.equality(GRIP).id])
+        return self._grip >= 0 and bool(self.data.eq_active[self._grip])
 
     def hand_over(self) -> None:
         """The person lets go."""
-        self.data.eq_active[self.model.equality(GRIP).id] = 0
+        self.data.eq_active[self._grip] = 0
 
     # grip and lift
 
