@@ -10,18 +10,17 @@ from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
 from dgeval.robots.hand import hand_for
 from dgeval.robots.mjcf import quat_wxyz
-from dgeval.worlds.hand_and_object import HandAndObject, LiftTest
+from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle
 from dgeval.worlds.objects import ObjectModel, at, surface_points
 from dgeval.worlds.scene import Camera, build
 
 HAND = hand_for("vfas")
 OPENING = HAND.opening or 0.0  # m between the pads
 PREGRASP_M = 0.10  # m before the grasp along its approach; ours, the paper gives no figure
-# s, s, m, s, m: wait, lift, height, hold, and travel of a shake of 1 g at 5 Hz; ours
-LIFT_TEST = LiftTest(settle_s=0.0, lift_s=0.5, height_m=0.10, hold_s=0.3, shake_m=0.02)
+SHAKE = 0.02  # m, travel of a shake of 1 g at 5 Hz; ours
 
 
-class FlyingJaw(HandAndObject):
+class FlyingJaw(HandOnHandle):
     """A gripper on a handle over an object at rest at (0.5, 0) m, and a second object.
 
     The second object stands at T_base_other, at first far away.
@@ -70,7 +69,7 @@ class FlyingJaw(HandAndObject):
 
     def lifts(self) -> bool:
         """Close, lift, hold, shake; True if the object came along and stayed."""
-        return self.lift_test(HAND.open, LIFT_TEST)
+        return CloseAndLift(self, HAND.open, np.zeros(3), SHAKE).finish()
 
 
 def between_fingers(points: Array, T_grasp_points: Array) -> int:

@@ -61,6 +61,7 @@ from dgeval.simulation.trial import FrameBelief, Run
 from dgeval.simulation.truth import Truth
 from dgeval.simulation.world import World, matrix_of
 from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
+from dgeval.worlds.hand_and_object import SUCCESS_RULE
 from dgeval.worlds.objects import surface_points
 
 START_NS = 1_800_000_000_000_000_000  # ns, time stamp of every recording's first message; ours
@@ -201,6 +202,7 @@ def verdict_document(
     plan = run.plan
     return {
         "outcome": truth.outcome,
+        "success_rule": SUCCESS_RULE,
         "failure_class": truth.failure_class,
         "sub_cause": truth.sub_cause,
         "shift_s": truth.shift_s,

@@ -22,8 +22,9 @@ from dgeval.planning.servo import Servo
 from dgeval.simulation.perception import Perceiver
 from dgeval.simulation.proposals import GraspSource, Proposals
 from dgeval.simulation.scenario import Plan, Scenario
-from dgeval.simulation.world import FINISH_S, Finish, Finisher, Snapshot, World, home
+from dgeval.simulation.world import FINISH_S, Finish, Snapshot, World, home
 from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
+from dgeval.worlds.hand_and_object import CloseAndLift
 
 MAX_TWIST = np.array([0.7, 0.7, 0.7, 2.0, 2.0, 2.0])  # m/s, rad/s, of the palm; ours
 REACHED = 1e-3  # m + 0.1 m per rad, most error of inverse kinematics for a pose in reach; ours
@@ -117,7 +118,7 @@ def run_trial(
     chooser = _Chooser(world)
     kept: tuple[Array, Array] | None = None
     fingers = hand.open.copy()
-    finisher: Finisher | None = None
+    closing: CloseAndLift | None = None
     n_frame = 0
     tick = 0
     while True:
@@ -154,13 +155,13 @@ def run_trial(
         usable = newest[1] if newest else None
         snapshot = world.save()
         touch = world.touch()
-        if finisher is not None:
+        if closing is not None:
             tick_record = Tick(
                 snapshot,
                 None,
                 None,
                 None,
-                finisher.velocity,
+                closing.velocity,
                 np.zeros(6),
                 None,
                 True,
@@ -169,11 +170,11 @@ def run_trial(
                 None,
             )
             run.ticks.append(tick_record)
-            finisher.step()
+            closing.step()
             tick += 1
-            if finisher.ticks * CONTROL_S >= FINISH_S:
-                assert finisher.result is not None
-                run.finish = Finish(finisher.result.success, finisher.height)
+            if closing.since_s >= FINISH_S:
+                assert closing.success is not None
+                run.finish = Finish(closing.success, closing.height)
                 return run
             continue
         palm = world.T_base_palm()
@@ -237,15 +238,14 @@ def run_trial(
             due = tick + round((max(0.0, faults.close_shift) + plan.close_jitter) / CONTROL_S)
         if due is not None and tick >= due:
             run.close = tick
-            finisher = Finisher(world, velocity_now, run.preshape)
-            finisher.step()
+            closing = CloseAndLift(world, run.preshape, velocity_now)
+            closing.step()
             tick += 1
             continue
         fingers += np.clip(
             run.preshape - fingers, -hand.drive_speed * CONTROL_S, hand.drive_speed * CONTROL_S
         )
-        world.command(world.kinematics.joint_velocity(world.q_set, twist), fingers)
-        world.advance()
+        world.move_hand(twist, fingers)
         tick += 1
         away = plan.speed and abs(world.data.qpos[world.object + 1]) > REACH
         if (

@@ -22,15 +22,9 @@ from dgeval.failure_rule import (
 )
 from dgeval.geometry import Array, increment, rotation_angle
 from dgeval.simulation.trial import Run
-from dgeval.simulation.world import (
-    Finish,
-    Finisher,
-    Snapshot,
-    World,
-    matrix_of,
-    twin_path,
-)
+from dgeval.simulation.world import Snapshot, World, matrix_of, twin_path
 from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, NEAR, TRUTH_STEP
+from dgeval.worlds.hand_and_object import CloseAndLift
 
 COARSE = 3  # times the tick, between close times far from the real one; ours
 # m and degrees by which the palm is moved to find a pose without overlap; ours
@@ -81,10 +75,13 @@ class Prover:
         )
         self.end = run.close if run.close is not None else len(run.ticks) - 1
 
-    def closes(self, snapshot: Snapshot, velocity: Array) -> Finish:
-        """Close from a state, follow at a velocity (3,) m/s, and lift."""
+    def closes(self, snapshot: Snapshot, velocity: Array) -> bool:
+        """Whether a close from a state, which follows at a velocity (3,) m/s, holds the object."""
         self.world.restore(snapshot)
-        return Finisher(self.world, velocity, self.run.preshape).finish()
+        return self._close(velocity)
+
+    def _close(self, velocity: Array) -> bool:
+        return CloseAndLift(self.world, self.run.preshape, velocity).finish()
 
     def curve(self) -> tuple[tuple[float, bool], ...]:
         """Success over close time: from the first distance under 8 cm to 0.6 s after the real
@@ -123,12 +120,12 @@ class Prover:
             for offset, snapshot in self._held_open(
                 tick.snapshot, tick.twist, coarse if succeeded else TRUTH_STEP
             ):
-                out.append((offset, self.closes(snapshot, tick.velocity).success))
+                out.append((offset, self.closes(snapshot, tick.velocity)))
         return tuple((round(offset, 3), success) for offset, success in out)
 
     def _closes_at(self, k: int) -> bool:
         tick = self.run.ticks[k]
-        return tick.preshape is not None and self.closes(tick.snapshot, tick.velocity).success
+        return tick.preshape is not None and self.closes(tick.snapshot, tick.velocity)
 
     def _held_open(self, start: Snapshot, twist: Array, step: int) -> list[tuple[float, Snapshot]]:
         """(offset s, state) after the close, with the approach continued at constant twist.
@@ -139,8 +136,7 @@ class Prover:
         w.restore(start)
         out = []
         for k in range(1, round(AFTER_CLOSE_S / CONTROL_S) + 1):
-            w.command(w.kinematics.joint_velocity(w.q_set, twist), self.run.preshape)
-            w.advance()
+            w.move_hand(twist, self.run.preshape)
             if k % step == 0:
                 out.append((k * CONTROL_S, w.save()))
         return out
@@ -168,7 +164,7 @@ class Prover:
         w.restore(self.run.ticks[k].snapshot)
         w.put_object(self.twin[k, :7], self.twin[k, 7:])
         overlap = w.penetration()
-        return overlap, Finisher(w, self.run.ticks[k].velocity, self.run.preshape).finish().success
+        return overlap, self._close(self.run.ticks[k].velocity)
 
     def free_pose(self) -> bool:
         """As `put_back` at the close, with the palm moved to where nothing overlaps.
@@ -191,7 +187,7 @@ class Prover:
                 continue
             w.put_object(self.twin[self.end, :7], self.twin[self.end, 7:])
             if w.penetration() <= 1e-4:
-                return Finisher(w, tick.velocity, self.run.preshape).finish().success
+                return self._close(tick.velocity)
         return False
 
     def pose_error(self) -> float | None:
@@ -210,7 +206,7 @@ class Prover:
                     continue
                 if w.penetration() > 0.002:
                     continue
-                if Finisher(w, tick.velocity, self.run.preshape).finish().success:
+                if self._close(tick.velocity):
                     return step
         return None
 

@@ -21,8 +21,9 @@ from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.seeing import Images, camera_frame
 from dgeval.simulation.trial import REACHED, FrameBelief, Run, Tick, frame_ticks, limited
 from dgeval.simulation.vfas_plan import waiting_pose
-from dgeval.simulation.world import FINISH_S, Finish, Finisher, World
+from dgeval.simulation.world import FINISH_S, Finish, World
 from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
+from dgeval.worlds.hand_and_object import CloseAndLift
 from dgeval.worlds.objects import at
 
 # The last advance ends this near to the grasp, m + 0.1 m per rad, or after this time, s; ours.
@@ -131,7 +132,7 @@ def run_vfas(
     frames = set(frame_ticks(scenario.camera.rate, scenario.max_seconds + FINISH_S + 1))
     turn = world.setting.turn
     stopped = 0.0 if turn is None else turn.end
-    finisher: Finisher | None = None
+    closing: CloseAndLift | None = None
     advancing: int | None = None
     n_frame = tick = 0
     while True:
@@ -152,7 +153,7 @@ def run_vfas(
         snapshot = world.save()
         touch = world.touch()
         still = np.zeros(3)
-        if finisher is not None:
+        if closing is not None:
             run.ticks.append(
                 Tick(
                     snapshot,
@@ -168,11 +169,11 @@ def run_vfas(
                     None,
                 )
             )
-            finisher.step()
+            closing.step()
             tick += 1
-            if finisher.ticks * CONTROL_S >= FINISH_S:
-                assert finisher.result is not None
-                run.finish = Finish(finisher.result.success, finisher.height)
+            if closing.since_s >= FINISH_S:
+                assert closing.success is not None
+                run.finish = Finish(closing.success, closing.height)
                 return run, kept
             continue
         hand = world.T_base_palm()
@@ -206,12 +207,11 @@ def run_vfas(
             )
             if left < ARRIVED_M or (tick - advancing) * CONTROL_S > ADVANCE_S:
                 run.close = tick
-                finisher = Finisher(world, still, run.preshape)
-                finisher.step()
+                closing = CloseAndLift(world, run.preshape, still)
+                closing.step()
                 tick += 1
                 continue
-        world.command(world.kinematics.joint_velocity(world.q_set, twist), world.gripper.open)
-        world.advance()
+        world.move_hand(twist, world.gripper.open)
         tick += 1
         if tick * CONTROL_S > scenario.max_seconds or world.data.qpos[world.object + 2] < -0.1:
             return run, kept

@@ -16,22 +16,13 @@ from dgeval.robots.diana7 import DAMPING, STIFFNESS, ArmKinematics
 from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
 from dgeval.robots.hand import Hand
 from dgeval.simulation.setting import Setting, present
-from dgeval.worlds.closing import (
-    CLOSE_S,
-    CONTROL_S,
-    LIFT_S,
-    SETTLE_S,
-    SUBSTEPS,
-    finishing_twist,
-)
+from dgeval.worlds.closing import CLOSE_S, CONTROL_S, LIFT_S, SETTLE_S, SUBSTEPS
 from dgeval.worlds.hand_and_object import HandAndObject
 from dgeval.worlds.objects import ObjectModel
-from dgeval.worlds.presenter import GRIPPED_N, RELEASE_S
 from dgeval.worlds.scene import TURNTABLE_TOP, Camera, build, pose_of
 
-HOLD_S = 1.6  # s, recorded after the lift; ours
-SUCCESS_HOLD_S = 1.0  # s, after the lift ends (docs/simulation.md, "Success")
-FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + HOLD_S  # s, from the close command to the end
+RECORDED_S = 1.6  # s, recorded after the lift; ours
+FINISH_S = CLOSE_S + SETTLE_S + LIFT_S + RECORDED_S  # s, from the close command to the end
 
 
 @dataclass(frozen=True)
@@ -170,9 +161,10 @@ class World(HandAndObject):
         self.setting.drive(self.model, self.data)
         mujoco.mj_step(self.model, self.data, steps)
 
-    def lifted(self) -> bool:
-        """Whether the object is off its support, in the hand, and let go of."""
-        return self.in_hand(self.T_base_hand(), self.data.body("object").xpos)
+    def move_hand(self, twist: Array, fingers: Array) -> None:
+        """As in `HandAndObject`; the arm follows the twist."""
+        self.command(self.kinematics.joint_velocity(self.q_set, twist), fingers)
+        self.advance()
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,63 +176,6 @@ class Finish:
 
     success: bool
     height: float
-
-
-class Finisher:
-    """Closing, lifting and holding, one control period at a time.
-
-    The trial and every 'what if' use it. velocity (3,) m/s: at which the hand follows the object.
-    """
-
-    def __init__(self, world: World, velocity: Array, preshape: Array) -> None:
-        self.world, self.velocity, self.preshape = world, velocity, preshape
-        self.ticks = 0
-        self.height = 0.0
-        self._gripped_s = 0.0
-        if world.presenter is not None:
-            # lifted means: above where it was presented
-            world.rest = float(world.data.qpos[world.object + 2])
-        self.result: Finish | None = None
-
-    def step(self) -> None:
-        since = self.ticks * CONTROL_S
-        w = self.world
-        dq = w.kinematics.joint_velocity(w.q_set, finishing_twist(since, self.velocity))
-        w.command(dq, w.gripper.targets(since, self.preshape))
-        w.advance()
-        self.ticks += 1
-        if w.held_by_presenter:
-            # the presenter lets go when the object has been gripped for a moment
-            gripped = int((w.finger_forces() > GRIPPED_N).sum()) >= 2
-            self._gripped_s = self._gripped_s + CONTROL_S if gripped else 0.0
-            if self._gripped_s >= RELEASE_S:
-                w.hand_over()
-        self.height = max(self.height, float(w.data.qpos[w.object + 2]) - w.rest)
-        if self.result is None and self._decided():
-            self.result = Finish(self._succeeded, self.height)
-
-    def _decided(self) -> bool:
-        """Whether the outcome is certain now.
-
-        A hand that has left the object behind can't have it later.
-        """
-        w = self.world
-        lift = self.ticks * CONTROL_S - CLOSE_S - SETTLE_S
-        self._succeeded = False
-        if 0.2 * LIFT_S < lift < LIFT_S and not w.touch().object:
-            return True
-        if lift > 0.45 * LIFT_S and w.data.qpos[w.object + 2] < w.rest + 0.01:
-            return True
-        if lift >= LIFT_S and not w.lifted():
-            return True
-        self._succeeded = lift > LIFT_S + SUCCESS_HOLD_S
-        return self._succeeded
-
-    def finish(self) -> Finish:
-        """Run until the outcome is certain."""
-        while self.result is None:
-            self.step()
-        return self.result
 
 
 def _build_model(

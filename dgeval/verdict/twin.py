@@ -16,25 +16,14 @@ from dgeval.failure_rule import Facts, Needs, Thresholds, Unknown, Verdict, clas
 from dgeval.geometry import Array, invert, rotation_vector
 from dgeval.verdict.decide import Draw
 from dgeval.verdict.evidence import Scene
-from dgeval.worlds.closing import (
-    AFTER_CLOSE_S,
-    CLOSE_S,
-    CONTROL_S,
-    LIFT_S,
-    NEAR,
-    SETTLE_S,
-    SUBSTEPS,
-    finishing_twist,
-)
-from dgeval.worlds.hand_and_object import HandAndObject
+from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, NEAR, SUBSTEPS
+from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle
 from dgeval.worlds.objects import ObjectModel
-from dgeval.worlds.presenter import GRIPPED_N, RELEASE_S
 from dgeval.worlds.scene import TIMESTEP, build
 
 STEP = 6  # control periods between the close times tried; half of it around lone successes
 # beyond the rule's 10 mm by what the object's own place is uncertain
 FREE_STEPS_M = 0.003, 0.006, 0.010, 0.014
-HOLD_S = 0.3  # after the lift, until which the object must still be held
 # m from the grasp's centre to the object's, where the window of close times begins
 NEAR_CENTRE = 0.20
 RESYNC_M, RESYNC_RAD = 0.006, 0.10  # a sighting farther than this from the physics' object moves it
@@ -60,7 +49,7 @@ class Approach:
     link: str | None
 
 
-class Twin(HandAndObject):
+class Twin(HandOnHandle):
     """One draw: the scene with a solid of its cloud, displaced by (dx, dy m, turn rad).
 
     friction, mass: factors on the solid's sliding friction and mass.
@@ -196,9 +185,18 @@ class Twin(HandAndObject):
         self.fly_to(self.data.qpos[self._hand : self._hand + 7].copy())
         mujoco.mj_forward(self.model, self.data)
 
-    def _move(self, T: Array, velocity: Array, spin: Array) -> Array:
-        """One control period of the hand at a twist; returns where it is then."""
+    def move_hand(self, twist: Array, fingers: Array) -> None:
+        """As in `HandAndObject`; who still holds the object goes on as before."""
+        if self.held_by_presenter:
+            self.data.mocap_pos[self._presenter] += self.scene.velocity * CONTROL_S
+        self._carry(twist, fingers)
+
+    def _carry(self, twist: Array, fingers: Array) -> None:
+        """One control period in which nothing pushes the hand."""
         d, a, b = self.data, self._hand, self._hand_dof
+        d.ctrl[self.drives] = fingers
+        T = self.T_base_hand()
+        velocity, spin = twist[:3], twist[3:]
         self._put_hand(T, velocity, spin)
         moving = np.concatenate([velocity, T[:3, :3].T @ spin])
         pose = d.qpos[a : a + 7].copy()
@@ -210,54 +208,17 @@ class Twin(HandAndObject):
             pose[:3] += velocity * TIMESTEP
             if spin.any():
                 mujoco.mju_quatIntegrate(pose[3:], moving[3:], TIMESTEP)
-        T = T.copy()
-        T[:3, 3] = pose[:3]
-        if spin.any():
-            R = np.zeros(9)
-            mujoco.mju_quat2Mat(R, pose[3:])
-            T[:3, :3] = R.reshape(3, 3)
-        return T
+        self.fly_to(pose)
 
     # what is asked
 
-    def close(
-        self, T: Array, velocity: Array, preshape: Array, fingers: list[Array] | None = None
-    ) -> tuple[bool, float]:
-        """Close, follow, lift from the present state: success, and the object's greatest rise m.
+    def close(self, tick: int) -> CloseAndLift:
+        """A close from the present state, with fingers and followed velocity as at a tick."""
+        return CloseAndLift(self, self.scene.hand.fingers[tick], self.scene.hand.velocity[tick])
 
-        fingers: gets the drives' positions after each tick.
-        """
-        d = self.data
-        height, since, gripped_s = 0.0, 0.0, 0.0
-        while True:
-            d.ctrl[self.drives] = self.gripper.targets(since, preshape)
-            if self.held_by_presenter:
-                # who holds it goes on as before, and lets go when it has been gripped for a moment
-                d.mocap_pos[self._presenter] += self.scene.velocity * CONTROL_S
-                forces = self.finger_forces()
-                gripped_s = gripped_s + CONTROL_S if int((forces > GRIPPED_N).sum()) >= 2 else 0.0
-                if gripped_s >= RELEASE_S:
-                    self.hand_over()
-            T = self._move(T, finishing_twist(since, velocity)[:3], np.zeros(3))
-            since += CONTROL_S
-            if fingers is not None:
-                fingers.append(d.qpos[self.driven].copy())
-            z = float(d.qpos[self.object + 2])
-            height = max(height, z - self.rest)
-            lift = since - CLOSE_S - SETTLE_S
-            if 0.0 < lift < LIFT_S and not self.touch().object:
-                return False, height
-            if lift > 0.45 * LIFT_S and z < self.rest + 0.01:
-                return False, height
-            if lift >= LIFT_S + HOLD_S:
-                return self.in_hand(T, d.qpos[self.object : self.object + 3]), height
-
-    def _close_at(
-        self, state: Array, tick: int, fingers: list[Array] | None = None
-    ) -> tuple[bool, float]:
+    def _close_at(self, state: Array, tick: int) -> bool:
         self.restore(state)
-        T = self._hand_pose()
-        return self.close(T, self.scene.hand.velocity[tick], self.scene.hand.fingers[tick], fingers)
+        return self.close(tick).finish()
 
     def approach(self) -> bool:
         """The recorded hand up to the close; whether the recorded failure happens here too.
@@ -275,13 +236,17 @@ class Twin(HandAndObject):
         self._height = 0.0
         if scene.close is None:
             return True
-        fingers: list[Array] = []
-        works, self._height = self._close_at(self._approached.states[end], end, fingers)
+        self.restore(self._approached.states[end])
+        closing, fingers = self.close(end), []
+        while closing.success is None:
+            closing.step()
+            fingers.append(self.data.qpos[self.driven].copy())
+        self._height = closing.height
         n = min(len(fingers), len(scene.hand.closing))
         if n:
             apart = np.abs(np.array(fingers[n // 2 : n]) - scene.hand.closing[n // 2 : n])
             self.mismatch = float(np.sqrt(np.mean(np.minimum(apart, MISMATCH_MOST) ** 2)))
-        return not works
+        return not closing.success
 
     def without(self, error: Array) -> bool:
         """Whether the approach displaced by -error, m (3,), lifts the object; after `approach`."""
@@ -291,7 +256,7 @@ class Twin(HandAndObject):
         self._moved = -error
         works = self._close_at(
             self._approach(min(self._approached.states), end, resync=False).states[end], end
-        )[0]
+        )
         self._moved = np.zeros(3)
         return works
 
@@ -306,10 +271,8 @@ class Twin(HandAndObject):
         self._put_hand(T, self.scene.velocity, np.zeros(3))
         mujoco.mj_forward(self.model, self.data)
         inside = self.touch().penetration > Thresholds().overlap_m
-        return {
-            "goal": not inside
-            and self.close(T, self.scene.velocity, self.scene.hand.fingers[end])[0]
-        }
+        closing = CloseAndLift(self, self.scene.hand.fingers[end], self.scene.velocity)
+        return {"goal": not inside and closing.finish()}
 
     def ask(self, thresholds: Thresholds, reproduced: bool, weight: float) -> Draw:
         """The curve of close times, the rule over it, and the approach without each error.
@@ -349,10 +312,7 @@ class Twin(HandAndObject):
                 k = end if scene.close is not None or contact is None else contact
                 self.at(k)
                 overlap = self.touch().penetration
-                works = self.close(self.hand_at(k), scene.hand.velocity[k], scene.hand.fingers[k])[
-                    0
-                ]
-                facts = replace(facts, overlap_m=overlap, put_back=works)
+                facts = replace(facts, overlap_m=overlap, put_back=self.close(k).finish())
         restored: dict[str, bool] = {}
         if scene.close is None:
             restored = self._goal()
@@ -385,7 +345,7 @@ class Twin(HandAndObject):
         for k in wanted:
             if k not in states or (k == end and scene.close is not None):
                 continue
-            tried[k] = self._worth(states[k]) and self._close_at(states[k], k)[0]
+            tried[k] = self._worth(states[k]) and self._close_at(states[k], k)
             row = row + 1 if tried[k] else 0
             if row == 2 and (contact is None or scene.close is None or k < contact):
                 break
@@ -396,26 +356,19 @@ class Twin(HandAndObject):
         ]:
             for n in (k - STEP // 2, k + STEP // 2):
                 if n in states and n not in tried:
-                    tried[n] = self._close_at(states[n], n)[0]
+                    tried[n] = self._close_at(states[n], n)
         return tried
 
     def _worth(self, state: Array) -> bool:
         """Whether the object is within the hand's reach in this state."""
         self.restore(state)
-        T = self._hand_pose()
+        T = self.T_base_hand()
         off = (
             self.data.qpos[self.object : self.object + 3]
             - T[:3, :3] @ self.gripper.centre
             - T[:3, 3]
         )
         return bool(np.linalg.norm(off) < NEAR + 0.5 * np.linalg.norm(self.target.extent()))
-
-    def _hand_pose(self) -> Array:
-        R = np.zeros(9)
-        mujoco.mju_quat2Mat(R, self.data.qpos[self._hand + 3 : self._hand + 7])
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = R.reshape(3, 3), self.data.qpos[self._hand : self._hand + 3]
-        return T
 
     def _approach(self, first: int, end: int, resync: bool = True) -> Approach:
         self.at(first)
@@ -444,12 +397,9 @@ class Twin(HandAndObject):
             if k < end:
                 self._present(k + 1)
                 a, b = self.hand_at(k), self.hand_at(k + 1)
-                self.data.ctrl[self.drives] = self.scene.hand.fingers[k]
-                self._move(
-                    a,
-                    (b[:3, 3] - a[:3, 3]) / CONTROL_S,
-                    rotation_vector(b[:3, :3] @ a[:3, :3].T) / CONTROL_S,
-                )
+                turn = rotation_vector(b[:3, :3] @ a[:3, :3].T)
+                step = np.concatenate([b[:3, 3] - a[:3, 3], turn])
+                self._carry(step / CONTROL_S, self.scene.hand.fingers[k])
                 self._put_hand(b, *self.twist(k + 1))
         if resync and strayed:
             self.strayed = float(np.mean(strayed))
@@ -458,18 +408,14 @@ class Twin(HandAndObject):
     def _later(self, state: Array, end: int) -> list[tuple[float, bool]]:
         """The approach gone on with at constant twist and open fingers after the close."""
         self.restore(state)
-        velocity, spin = self.scene.hand.going[:3], self.scene.hand.going[3:]
-        T = self.hand_at(end)
         held = []
         for k in range(1, round(AFTER_CLOSE_S / CONTROL_S) + 1):
-            if self._presenter is not None:
-                self.data.mocap_pos[self._presenter] += self.scene.velocity * CONTROL_S
-            T = self._move(T, velocity, spin)
+            self.move_hand(self.scene.hand.going, self.scene.hand.fingers[end])
             if k % STEP == 0:
                 held.append((k * CONTROL_S, self.state()))
         out: list[tuple[float, bool]] = []
         for offset, state in held:
-            out.append((offset, self._close_at(state, end)[0]))
+            out.append((offset, self._close_at(state, end)))
             if len(out) > 1 and out[-1][1] and out[-2][1]:
                 break  # two in a row: nothing later is nearer
         return out
@@ -493,5 +439,5 @@ class Twin(HandAndObject):
             self._put_hand(T, *self.twist(end))
             mujoco.mj_forward(self.model, self.data)
             if self.touch().penetration <= 1e-4:
-                return self.close(T, self.scene.hand.velocity[end], self.scene.hand.fingers[end])[0]
+                return self.close(end).finish()
         return False

@@ -17,8 +17,12 @@ CLOSE_S = 0.4  # s, that every hand has to close
 SETTLE_S = 0.1  # s, wait after the closing ramp
 LIFT_S = 0.7  # s, duration of the lift
 LIFT_HEIGHT = 0.20  # m
+HOLD_S = 1.0  # s after the lift, through which a success must hold the object
 MIN_LIFT = 0.10  # m over its support: a lifted object is at least as high
 MAX_FROM_HAND = 0.15  # m, at most, from the grasp centre to the centre of a held object
+# From this share of the lift's time on, a rise below this, m, means that the hand left the object
+# behind: the hand has risen by 0.08 m then.
+GIVEN_UP_SHARE, LEFT_BEHIND_M = 0.45, 0.01
 AFTER_CLOSE_S = 0.6  # s after the real close, until which other close times are tried
 TRUTH_STEP = 3  # control periods between the close times tried, 30 ms
 NEAR = 0.08  # m from hand to object, where the window of other close times begins
