@@ -22,6 +22,7 @@ from dgeval.replay import causal
 from dgeval.replay.causal import Step
 from dgeval.runs.results import Run, read_run
 from dgeval.verdict.judge import Judgement, judge
+from dgeval.verdict.log import log_of
 
 
 def open_trial(path: Path, config: Config | None = None, trial: str | None = None) -> Trial:
@@ -75,7 +76,7 @@ def judge_trial(trial: Trial, hindsight: Hindsight | None) -> Judgement:
     hindsight: of `look_back`. Nothing reads the recorded truth. A failure takes up to a minute: the
     twin closes the hand at other times.
     """
-    return judge(trial, hindsight, trial.config)
+    return judge(log_of(trial), hindsight, trial.config.verdict, trial.config.seed)
 
 
 def load_run(folder: Path) -> Run:

@@ -21,6 +21,7 @@ from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
 from dgeval.recording.transforms import TransformTree
 from dgeval.robots.description import Description, Joint, LinkShape, load_description
+from dgeval.robots.hand import Hand, hand_of
 
 # names of the robot's base in common descriptions, in order of preference
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
@@ -77,6 +78,13 @@ class RobotStates:
     hand_links: tuple[str, ...]
     joints: JointTrack
     notes: tuple[str, ...]
+
+    @property
+    def hand(self) -> Hand | None:
+        """The hand of the description; None without a description, or of an unknown hand."""
+        if self.description is None:
+            return None
+        return hand_of({j.name for j in self.description.joints.values()})
 
     def T_base_camera(self, t_ns: int) -> Array | None:
         if self.base_frame is None:

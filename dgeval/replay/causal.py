@@ -25,9 +25,11 @@ from dgeval.planning.schedule import Delayed
 from dgeval.planning.servo import Servo, ServoCommand
 from dgeval.recording.contract import CLOSE_EVENT, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
+from dgeval.recording.messages import StampedPose
+from dgeval.recording.robot import RobotStates
 from dgeval.recording.trials import Trial
 from dgeval.replay.row import row_of
-from dgeval.robots.hand import Hand, hand_named, hand_of
+from dgeval.robots.hand import hand_named
 
 if TYPE_CHECKING:
     from dgeval.planning.model_grasps import ModelGrasps
@@ -104,10 +106,12 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
     one; the second pass uses its state after the last frame.
     """
     perception = perception or Perception(config)
-    servo = Servo(config.servo, recorded_hand(trial) or hand_named(DEFAULT_HAND))
+    servo = Servo(config.servo, trial.robot.hand or hand_named(DEFAULT_HAND))
     delayed: Delayed[Any] = Delayed(config.schedule.perception_latency_s)
-    planner = _planner(trial, config)
-    grasps = _grasps(trial, config) if planner is None else None
+    planner = _planner(seed_of(trial), config)
+    source = grasp_source(trial.robot, bool(trial.scan.poses.get(GRASP_TOPIC)), config.grasps)
+    grasps = _grasps(source, trial.robot, config) if planner is None else None
+    palm_at_close = _palm_at(trial.robot, trial.event_ns(CLOSE_EVENT))
     moving_base = trial.robot.base_frame is not None
     given_box, given_box_ns = trial.spec.bbox, trial.spec.bbox_time_ns
     frames = trial.frames()
@@ -127,7 +131,7 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
             and perception.T_camera_model is None
             and frame.index < MAX_SEARCHED
         ):
-            box = find_target(frame, T_base_camera, _palm_at_close(trial), config)
+            box = find_target(frame, T_base_camera, palm_at_close, config)
         clock.lap("target")
         perceived = perception.step(frame, T_base_camera, box, clock.lap)
         T_camera_model = perceived.T_camera_model
@@ -148,27 +152,20 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
         yield Step(frame, T_base_camera, clock.seconds, perceived, result, control, vfas)
 
 
-def grasp_source(trial: Trial, config: GraspsConfig) -> str:
-    """`recorded`, `ffhnet` or `none`: what the setting `grasps.source` means for this trial."""
+def grasp_source(robot: RobotStates, recorded: bool, config: GraspsConfig) -> str:
+    """`recorded`, `ffhnet` or `none`: what the setting `grasps.source` means for a trial.
+
+    recorded: whether its log holds grasps.
+    """
     if config.source != "auto":
         return config.source
-    if trial.scan.poses.get(GRASP_TOPIC):
+    if recorded:
         return "recorded"
-    hand = recorded_hand(trial)
-    known = hand is not None and hand.grasp_network == "ffhnet"
-    return "ffhnet" if known and trial.robot.palm_frame is not None else "none"
+    known = robot.hand is not None and robot.hand.grasp_network == "ffhnet"
+    return "ffhnet" if known and robot.palm_frame is not None else "none"
 
 
-def recorded_hand(trial: Trial) -> Hand | None:
-    """The hand of the recorded description; None without a description, or of an unknown hand."""
-    description = trial.robot.description
-    if description is None:
-        return None
-    return hand_of({j.name for j in description.joints.values()})
-
-
-def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None:
-    source = grasp_source(trial, config.grasps)
+def _grasps(source: str, robot: RobotStates, config: Config) -> RecordedGrasps | ModelGrasps | None:
     if source == "recorded":
         return RecordedGrasps(config)
     if source == "none":
@@ -176,29 +173,32 @@ def _grasps(trial: Trial, config: Config) -> RecordedGrasps | ModelGrasps | None
     # imports torch, which takes longer than all other imports together
     from dgeval.planning.model_grasps import ModelGrasps
 
-    return ModelGrasps(trial.robot, config)
+    return ModelGrasps(robot, config)
 
 
-def recorded_seed(trial: Trial) -> Array | None:
+def recorded_seed(seeds: list[StampedPose], start_ns: int, end_ns: int) -> Array | None:
     """T_base_seed (4, 4): another planner's proposal; None where none is recorded.
 
-    The newest at the trial's first frame, else the first one during the trial.
+    The newest at the trial's first frame, else the first one up to its end.
     """
-    start_ns, end_ns = trial.pairs[0][0], trial.spec.end_ns or trial.pairs[-1][0]
-    seeds = sorted(
-        (p for p in trial.scan.poses.get(SEED_TOPIC, []) if p.t_ns <= end_ns), key=lambda p: p.t_ns
-    )
-    before = [p for p in seeds if p.t_ns <= start_ns]
-    chosen = before[-1] if before else seeds[0] if seeds else None
+    during = sorted((p for p in seeds if p.t_ns <= end_ns), key=lambda p: p.t_ns)
+    before = [p for p in during if p.t_ns <= start_ns]
+    chosen = before[-1] if before else during[0] if during else None
     return None if chosen is None else matrix_from_pose(chosen.pose)
 
 
-def _planner(trial: Trial, config: Config) -> VfasGrasps | None:
+def seed_of(trial: Trial) -> Array | None:
+    """The recorded seed of a trial, see `recorded_seed`."""
+    end_ns = trial.spec.end_ns or trial.pairs[-1].t_ns
+    return recorded_seed(trial.scan.poses.get(SEED_TOPIC, []), trial.pairs[0].t_ns, end_ns)
+
+
+def _planner(seed: Array | None, config: Config) -> VfasGrasps | None:
     if config.pipeline != "vfas":
         return None
     from dgeval.planning.vfas.replayed import VfasGrasps  # imports torch
 
-    return VfasGrasps(config, recorded_seed(trial))
+    return VfasGrasps(config, seed)
 
 
 def _control(
@@ -227,13 +227,12 @@ def _control(
     return Control(close_now, command)
 
 
-def _palm_at_close(trial: Trial) -> Array | None:
+def _palm_at(robot: RobotStates, close_ns: int | None) -> Array | None:
     """Position (3,) of the palm at the recorded close, m, base frame: the target was near it.
 
     None where no close or no palm pose is recorded.
     """
-    close = trial.event_ns(CLOSE_EVENT)
-    T = None if close is None else trial.robot.T_base_palm(close)
+    T = None if close_ns is None else robot.T_base_palm(close_ns)
     return None if T is None else np.asarray(T[:3, 3])
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from dgeval.config import Config
 from dgeval.perception.trackers import tracker_named
+from dgeval.recording.contract import GRASP_TOPIC
 from dgeval.recording.trials import Trial
-from dgeval.replay.causal import Step, grasp_source, recorded_seed
+from dgeval.replay.causal import Step, grasp_source, seed_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +64,9 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
     if stand_in is not None:
         notes.append(f"stand-in: {stand_in} in place of TransT-M")
     if config.pipeline == "vfas":
-        return notes + vfas_notes(config, recorded_seed(trial) is not None)
-    source = grasp_source(trial, config.grasps)
+        return notes + vfas_notes(config, seed_of(trial) is not None)
+    recorded = bool(trial.scan.poses.get(GRASP_TOPIC))
+    source = grasp_source(trial.robot, recorded, config.grasps)
     if source == "recorded":
         notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
     elif source == "ffhnet":

@@ -41,6 +41,7 @@ from dgeval.schema import (
     arrow_table,
 )
 from dgeval.verdict.judge import Judgement, judge
+from dgeval.verdict.log import log_of
 from dgeval.verdict.picture import decisive_picture
 
 MAX_RECENT = 400  # compressed images kept, of which one becomes the picture of the decisive moment
@@ -175,7 +176,7 @@ def _replay_trial(
         start = time.perf_counter()
         hindsight = look_back(trial, observed, surface, perception, config)
         hindsight_done = time.perf_counter()
-        judgement = judge(trial, hindsight, config)
+        judgement = judge(log_of(trial), hindsight, config.verdict, config.seed)
         for stage, seconds in (
             ("hindsight", hindsight_done - start),
             ("verdict", time.perf_counter() - hindsight_done),

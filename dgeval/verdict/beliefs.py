@@ -11,6 +11,7 @@ whether the grasp that it was sent to would have held, and whether it came there
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,17 +20,9 @@ from scipy.spatial import cKDTree
 from dgeval.failure_rule import Unknown
 from dgeval.geometry import Array, invert, matrix_from_pose, transform
 from dgeval.hindsight.second_pass import Hindsight
-from dgeval.recording.contract import (
-    CLOSE_EVENT,
-    COMMAND_TOPIC,
-    GRASP_TOPIC,
-    MASK_TOPIC,
-    MODEL_TOPIC,
-    TARGET_TOPIC,
-    VELOCITY_TOPIC,
-)
-from dgeval.recording.messages import StampedPose, cloud_points
-from dgeval.recording.trials import Trial
+from dgeval.recording.messages import StampedPose
+from dgeval.recording.robot import RobotStates
+from dgeval.verdict.log import Recorded, TrialLog
 
 # before its last sighting, and how many in it, whose errors tell a drift
 DRIFT_NS, LEAST_SIGHTINGS = 1_000_000_000, 5
@@ -63,34 +56,27 @@ class Beliefs:
         return Beliefs(errors, None if self.goal is None else T @ self.goal, self.gains)
 
 
-def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | Unknown:
+def beliefs_of(log: TrialLog, hindsight: Hindsight) -> Beliefs | Unknown:
     """What the robot believed, base frame; `Unknown` says why nothing can be said."""
-    close_ns = trial.event_ns(CLOSE_EVENT)
-    grasps, targets = trial.scan.poses.get(GRASP_TOPIC, []), trial.scan.poses.get(TARGET_TOPIC, [])
-    at_ns = _nearest_ns(trial, grasps) if close_ns is None else close_ns
+    recorded, robot = log.recorded, log.robot
+    at_ns = _nearest_ns(robot, recorded.grasps) if log.close_ns is None else log.close_ns
     if at_ns is None:
         return Unknown("beliefs not recorded")
-    grasps, targets = (
-        [p for p in grasps if p.t_ns <= at_ns],
-        [p for p in targets if p.t_ns <= at_ns],
-    )
-    palm = trial.robot.T_base_palm(at_ns)
+    grasps = [p for p in recorded.grasps if p.t_ns <= at_ns]
+    targets = [p for p in recorded.targets if p.t_ns <= at_ns]
+    palm = robot.T_base_palm(at_ns)
     if palm is None or not grasps or len(targets) < 2:
         return Unknown("beliefs not recorded")
-    velocities = [v[:3] for t, v in trial.scan.twists.get(VELOCITY_TOPIC, []) if t <= at_ns]
+    velocities = [v[:3] for t, v in recorded.velocities if t <= at_ns]
     # the grasp was last recorded with a frame; the robot believed that it moved on with the object
     velocity = velocities[-1] if velocities else np.zeros(3)
     grasp = matrix_from_pose(grasps[-1].pose)[:3, 3] + velocity * (at_ns - grasps[-1].t_ns) * 1e-9
-    masks = (
-        trial.scan.times[MASK_TOPIC].arrays()[0]
-        if MASK_TOPIC in trial.scan.times
-        else np.zeros(0, dtype=np.int64)
-    )
     # what it saw itself; between and after it there are predictions
+    seen_ns = recorded.seen_ns
     own = [
-        p for p in targets if not len(masks) or np.abs(masks - p.t_ns).min() <= 1_000_000
+        p for p in targets if not len(seen_ns) or np.abs(seen_ns - p.t_ns).min() <= 1_000_000
     ] or targets
-    tracking = _tracking(trial, targets[0], own[-1], hindsight)
+    tracking = _tracking(log, targets[0], own[-1], hindsight)
     if tracking is None:
         return Unknown(
             "where camera and object were when the robot last saw the object is not known"
@@ -107,23 +93,19 @@ def beliefs_of(trial: Trial, hindsight: Hindsight) -> Beliefs | Unknown:
             ),
         ]
     )
-    free = (
-        velocities[-1:]
-        if close_ns is not None
-        else steady(trial.scan.twists.get(VELOCITY_TOPIC, []), free_ns)
-    )
+    closed = log.close_ns is not None
+    free = velocities[-1:] if closed else steady(recorded.velocities, free_ns)
     if free:
         wrong = free[-1] - hindsight.path.velocity[-1]
-        gain = None if close_ns is not None else trial.config.servo.c_p_v
         recent = [p for p in own if own[-1].t_ns - p.t_ns <= DRIFT_NS]
-        errors |= carried(
-            tracking, _drift(trial, recent, hindsight), wrong, (at_ns - own[-1].t_ns) * 1e-9, gain
-        )
-    end_ns = trial.pairs[-1][0] if close_ns is None else close_ns
-    return Beliefs(errors, _goal(grasps, hindsight, end_ns), _gains(trial, grasps, free_ns))
+        drift = _drift(robot, recent, hindsight)
+        gain = None if closed else log.servo_gain
+        errors |= carried(tracking, drift, wrong, (at_ns - own[-1].t_ns) * 1e-9, gain)
+    gains = _gains(robot, recorded, grasps, free_ns)
+    return Beliefs(errors, _goal(grasps, hindsight, log.end_ns), gains)
 
 
-def steady(twists: list[tuple[int, Array]], until_ns: int) -> list[Array]:
+def steady(twists: Sequence[tuple[int, Array]], until_ns: int) -> list[Array]:
     """Median velocity (3,) m/s over STEADY_NS up to a time.
 
     Empty where the filter had not been running for as long before that.
@@ -148,16 +130,16 @@ def gains_of(apart: list[Array], speeds: list[Array]) -> tuple[float, float] | N
     return float((e[:, :2] * v[:, :2]).sum()) / level, float((e[:, 2] * v[:, 2]).sum()) / upright
 
 
-def _gains(trial: Trial, grasps: list[StampedPose], until_ns: int) -> tuple[float, float] | None:
-    commands, velocities = (
-        trial.scan.twists.get(topic, []) for topic in (COMMAND_TOPIC, VELOCITY_TOPIC)
-    )
+def _gains(
+    robot: RobotStates, recorded: Recorded, grasps: list[StampedPose], until_ns: int
+) -> tuple[float, float] | None:
+    commands, velocities = recorded.commands, recorded.velocities
     commanded_ns, believed_ns = (
         np.array([t for t, _ in some], dtype=np.int64) for some in (commands, velocities)
     )
     apart, speeds = [], []
     for p in grasps:
-        palm = trial.robot.T_base_palm(p.t_ns)
+        palm = robot.T_base_palm(p.t_ns)
         k, n = (
             int(np.searchsorted(t, p.t_ns, side="right")) - 1 for t in (commanded_ns, believed_ns)
         )
@@ -167,11 +149,11 @@ def _gains(trial: Trial, grasps: list[StampedPose], until_ns: int) -> tuple[floa
     return gains_of(apart, speeds)
 
 
-def _nearest_ns(trial: Trial, grasps: list[StampedPose]) -> int | None:
+def _nearest_ns(robot: RobotStates, grasps: Sequence[StampedPose]) -> int | None:
     """When the palm was nearest to the grasp it was sent to."""
     apart: list[tuple[float, int]] = []
     for p in grasps:
-        palm = trial.robot.T_base_palm(p.t_ns)
+        palm = robot.T_base_palm(p.t_ns)
         if palm is not None:
             apart.append((float(np.linalg.norm(palm[:3, 3] - p.pose[:3])), p.t_ns))
     return min(apart)[1] if apart else None
@@ -224,7 +206,7 @@ def _goal(grasps: list[StampedPose], hindsight: Hindsight, end_ns: int) -> Array
     return None
 
 
-def _drift(trial: Trial, own: list[StampedPose], hindsight: Hindsight) -> Array:
+def _drift(robot: RobotStates, own: list[StampedPose], hindsight: Hindsight) -> Array:
     """How fast the robot's pose of the object left hindsight's over its sightings, m/s (3,)."""
     centre = hindsight.path.centroid[None]
     times, errors = [], []
@@ -232,7 +214,7 @@ def _drift(trial: Trial, own: list[StampedPose], hindsight: Hindsight) -> Array:
         None  # in the robot's model, by the first of them: only the growth counts
     )
     for p in own:
-        T_camera, there = trial.robot.T_base_camera(p.t_ns), _there(hindsight, p.t_ns)
+        T_camera, there = robot.T_base_camera(p.t_ns), _there(hindsight, p.t_ns)
         if T_camera is None or there is None:
             continue
         T_base_own = T_camera @ matrix_from_pose(p.pose)
@@ -244,7 +226,7 @@ def _drift(trial: Trial, own: list[StampedPose], hindsight: Hindsight) -> Array:
 
 
 def _tracking(
-    trial: Trial, first: StampedPose, last: StampedPose, hindsight: Hindsight
+    log: TrialLog, first: StampedPose, last: StampedPose, hindsight: Hindsight
 ) -> Array | None:
     """Believed minus hindsight place of the object at the last own sighting, m (3,), base frame.
 
@@ -252,13 +234,13 @@ def _tracking(
     a model its first belief is laid on hindsight's path, and an error that it had from the start
     can't be seen.
     """
-    T_first, T_last = trial.robot.T_base_camera(first.t_ns), trial.robot.T_base_camera(last.t_ns)
+    T_first, T_last = (log.robot.T_base_camera(p.t_ns) for p in (first, last))
     there = _there(hindsight, last.t_ns)
     if T_first is None or T_last is None or there is None:
         return None
     T_base_own = T_last @ matrix_from_pose(last.pose)
     centre = hindsight.path.centroid[None]
-    model = _own_model(trial, last.t_ns)
+    model = log.recorded.model(last.t_ns)
     if model is None:
         T_own_model = invert(T_first @ matrix_from_pose(first.pose)) @ hindsight.path.at(first.t_ns)
         return np.asarray(
@@ -267,19 +249,6 @@ def _tracking(
     seen = transform(there, hindsight.points)
     middle = transform(there, centre)
     return np.asarray(transform(laid_on(seen, transform(T_base_own, model)), middle)[0] - middle[0])
-
-
-def _own_model(trial: Trial, t_ns: int) -> Array | None:
-    """Points (n, 3) of the robot's model, its model frame, as recorded last before a time."""
-    if MODEL_TOPIC not in trial.opened.topics:
-        return None
-    last = None
-    for message in trial.opened.messages(frozenset({MODEL_TOPIC})):
-        if message.log_ns > t_ns and last is not None:
-            break
-        last = message
-    points = None if last is None else cloud_points(trial.opened.decode(last))
-    return None if points is None or len(points) < 20 else points
 
 
 def laid_on(points: Array, target: Array) -> Array:

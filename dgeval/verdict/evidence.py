@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from dgeval.failure_rule import Unknown
 from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.hindsight.second_pass import Hindsight
-from dgeval.recording.contract import CLOSE_EVENT, COMMAND_TOPIC, VELOCITY_TOPIC
-from dgeval.recording.robot import JointTrack
-from dgeval.recording.trials import Trial
-from dgeval.robots.hand import Hand, hand_of, hands
+from dgeval.robots.hand import Hand, hands
 from dgeval.verdict.beliefs import Beliefs, beliefs_of
+from dgeval.verdict.log import Recorded, TrialLog
 from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
 
 PERIOD_NS = round(CONTROL_S * 1e9)
@@ -85,18 +83,17 @@ class Scene:
         return len(self.hand.t_ns) - 1 if self.close is None else self.close
 
 
-def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
+def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
     """The approach up to the close, or to the end of the log without one.
 
     `Unknown` says why there can't be one.
     """
-    close_ns = trial.event_ns(CLOSE_EVENT)
-    description = trial.robot.description
-    base = trial.robot.base_frame
+    close_ns, end_ns, robot = log.close_ns, log.end_ns, log.robot
+    description = robot.description
+    base = robot.base_frame
     if description is None or base is None:
         return Unknown("no robot description and base frame: the hand's geometry is not known")
-    mounts = {j.name: j.parent for j in description.joints.values()}
-    gripper = hand_of(mounts)
+    gripper = robot.hand
     if gripper is None:
         return Unknown(
             "the description's joints are those of no hand that dgeval knows "
@@ -106,13 +103,8 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
         return Unknown(
             f"the object was registered in only {hindsight.n_registered} frames before the close"
         )
-    root = mounts[gripper.drives[0]]
-    track = JointTrack.of(
-        trial.scan.joints.get(trial.roles.hand_joints or "", []),
-        trial.config.clock.hand_joints.offset_ns,
-    )
-    end_ns = close_ns if close_ns is not None else trial.pairs[-1][0]
-    start_ns = max(trial.pairs[0][0], end_ns - round(APPROACH_S * 1e9))
+    root = next(j.parent for j in description.joints.values() if j.name == gripper.drives[0])
+    start_ns = max(log.first_ns, end_ns - round(APPROACH_S * 1e9))
     count = (end_ns - start_ns) // PERIOD_NS
     times = end_ns - np.arange(count, -1, -1, dtype=np.int64) * PERIOD_NS
     T_support_base = _support_frame(hindsight, end_ns)
@@ -121,18 +113,15 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
     held = above and _rises(hindsight, T_support_base, end_ns)
     if hindsight.support is None and not held:
         return Unknown("what the object stands on was never seen")
-    believed = trial.scan.twists.get(VELOCITY_TOPIC, [])
+    believed = log.recorded.velocities
     believed_ns = np.array([t for t, _ in believed], dtype=np.int64)
     free = T_support_base[:3, :3] @ hindsight.path.velocity[-1]
     free[2] *= held
     kept: list[int] = []
     poses, fingers, velocities = [], [], []
     for t_ns in times.tolist():
-        T = trial.robot.tree.lookup(base, root, t_ns)
-        q = [
-            track.at(name, t_ns, round(trial.config.sync.max_pose_gap_s * 1e9))
-            for name in gripper.drives
-        ]
+        T = robot.tree.lookup(base, root, t_ns)
+        q = [robot.joints.at(name, t_ns, log.max_gap_ns) for name in gripper.drives]
         if T is None or any(v is None for v in q):
             if kept:
                 return Unknown(
@@ -160,10 +149,7 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
     closing: list[list[float | None]] = []
     while close_ns is not None and len(closing) < CLOSING:
         t_ns = end_ns + (len(closing) + 1) * PERIOD_NS
-        row = [
-            track.at(name, t_ns, round(trial.config.sync.max_pose_gap_s * 1e9))
-            for name in gripper.drives
-        ]
+        row = [robot.joints.at(name, t_ns, log.max_gap_ns) for name in gripper.drives]
         if any(v is None for v in row):
             break
         closing.append(row)
@@ -172,10 +158,10 @@ def scene_of(trial: Trial, hindsight: Hindsight) -> Scene | Unknown:
         np.array(poses),
         np.array(fingers, dtype=float),
         np.array(velocities),
-        _going(trial, gripper, np.array(poses), T_support_base, end_ns),
+        _going(log.recorded, gripper, np.array(poses), T_support_base, end_ns),
         np.array(closing, dtype=float).reshape(-1, len(gripper.drives)),
-    )  # fmt: skip
-    beliefs = beliefs_of(trial, hindsight)
+    )
+    beliefs = beliefs_of(log, hindsight)
     return Scene(
         hand,
         points,
@@ -207,13 +193,11 @@ def _rises(hindsight: Hindsight, T_support_base: Array, end_ns: int) -> bool:
     )
 
 
-def _going(trial: Trial, gripper: Hand, hands: Array, T_support_base: Array, end_ns: int) -> Array:
+def _going(
+    recorded: Recorded, gripper: Hand, hands: Array, T_support_base: Array, end_ns: int
+) -> Array:
     """Twist (6,) of the hand's frame at the end of the approach, support axes."""
-    commands = [
-        v
-        for t, v in trial.scan.twists.get(COMMAND_TOPIC, [])
-        if end_ns - COMMAND_AGE_NS <= t <= end_ns
-    ]
+    commands = [v for t, v in recorded.commands if end_ns - COMMAND_AGE_NS <= t <= end_ns]
     if not commands:
         ticks = min(MEASURED_TICKS, len(hands) - 1)
         before, last = hands[-1 - ticks], hands[-1]

@@ -8,14 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dgeval.config import Config
+from dgeval.config import VerdictConfig
 from dgeval.failure_rule import Outcome, OutcomeSource, Unknown
 from dgeval.hindsight.second_pass import Hindsight
-from dgeval.recording.contract import CLOSE_EVENT
-from dgeval.recording.trials import Trial
 from dgeval.verdict.decide import Blame, Decision, blame_of, undecided
 from dgeval.verdict.draws import decide_scene
 from dgeval.verdict.evidence import Scene, scene_of
+from dgeval.verdict.log import TrialLog
 from dgeval.verdict.outcome import outcome_of
 from dgeval.verdict.sentence import Times, sentence
 
@@ -51,10 +50,15 @@ class Judgement:
     notes: tuple[str, ...] = ()
 
 
-def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgement:
-    """The verdict on one trial from its recording alone."""
-    ended = outcome_of(trial, hindsight)
-    close_ns = trial.event_ns(CLOSE_EVENT)
+def judge(
+    log: TrialLog, hindsight: Hindsight | None, config: VerdictConfig, seed: int
+) -> Judgement:
+    """The verdict on one trial from its recording alone.
+
+    hindsight: None where the object was never tracked. seed: of the draws.
+    """
+    ended = outcome_of(log, hindsight)
+    close_ns = log.close_ns
     row = VerdictRow(ended.outcome, ended.source, ended.evidence)
     notes: list[str] = []
     if hindsight is not None:
@@ -65,16 +69,16 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
         notes += hindsight.notes
     if ended.outcome != "failure":
         return Judgement(row, close_ns, None, tuple(notes))
-    answered = _decision(trial, hindsight, config)
+    answered = _decision(log, hindsight, config, seed)
     if isinstance(answered, Unknown) or hindsight is None:
         assert isinstance(answered, Unknown)
         evidence = f"{ended.evidence}; the cause is unknown: {answered.reason}"
-        columns = class_columns(undecided(answered.reason, config.verdict.method))
+        columns = class_columns(undecided(answered.reason, config.method))
         row = replace(row, evidence=evidence, **columns)
         return Judgement(row, close_ns, None, tuple(notes))
     scene, decision = answered
     pushed_ns = hindsight.pushed_ns or hindsight.contact_ns
-    times = Times(trial.pairs[0][0], trial.pairs[-1][0], close_ns, pushed_ns)
+    times = Times(log.first_ns, log.last_ns, close_ns, pushed_ns)
     link = pushing_link(decision, hindsight)
     blame = blame_of(decision, scene.beliefs)
     row = replace(
@@ -90,15 +94,14 @@ def judge(trial: Trial, hindsight: Hindsight | None, config: Config) -> Judgemen
 
 
 def _decision(
-    trial: Trial, hindsight: Hindsight | None, config: Config
+    log: TrialLog, hindsight: Hindsight | None, config: VerdictConfig, seed: int
 ) -> tuple[Scene, Decision] | Unknown:
     if hindsight is None:
         return Unknown("the object was never tracked")
-    scene = scene_of(trial, hindsight)
+    scene = scene_of(log, hindsight)
     if isinstance(scene, Unknown):
         return scene
-    v = config.verdict
-    decision = decide_scene(scene, v.method, v.draws, config.seed, v.least)
+    decision = decide_scene(scene, config.method, config.draws, seed, config.least)
     return decision if isinstance(decision, Unknown) else (scene, decision)
 
 

@@ -13,15 +13,10 @@ from dgeval.failure_rule import Outcome, OutcomeSource
 from dgeval.geometry import transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
-from dgeval.recording.contract import (
-    CLOSE_EVENT,
-    GRASP_TOPIC,
-    LABEL_EVENT,
-    LABEL_KEY,
-    TRIAL_END_EVENT,
-)
-from dgeval.recording.trials import Trial
+from dgeval.recording.messages import JointSample
+from dgeval.recording.robot import RobotStates
 from dgeval.robots.hand import hands
+from dgeval.verdict.log import TrialLog
 
 AFTER_S = 1.0  # after the close, from which fingers at rest tell what they hold
 LAST_S = 0.5  # of the log, over which efforts are judged
@@ -42,47 +37,43 @@ class Ended:
     p_success: float | None = None
 
 
-def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
+def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     """The outcome of a trial, by the first of these that tells.
 
     A label; no close: no grasp; a log that ends with the close: unknown; then fingers and
     sightings. A trial in which a robot's own grasp attempt ran out without a close is a failure:
     the beliefs that it recorded about a grasp say that there was an attempt.
     """
-    spec = trial.spec
-    label = spec.label or next(
-        (str(e.fields.get(LABEL_KEY)) for e in trial.events if e.kind == LABEL_EVENT), None
-    )
-    if label in ("success", "failure"):
+    if log.label in ("success", "failure"):
         return Ended(
-            "success" if label == "success" else "failure", "label", "an operator's label says so"
+            "success" if log.label == "success" else "failure",
+            "label",
+            "an operator's label says so",
         )
-    close_ns = trial.event_ns(CLOSE_EVENT)
+    close_ns = log.close_ns
     if close_ns is None:
-        if trial.damage:
+        if log.damaged:
             return Ended(
                 "incomplete",
                 None,
                 "the recording is damaged and what can be read of it has no close",
             )
-        if trial.scan.poses.get(GRASP_TOPIC) and trial.event_ns(TRIAL_END_EVENT) is not None:
+        if log.recorded.grasps and log.ended:
             return Ended(
                 "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
             )
         return Ended("no_grasp", "inferred", "the log has no close command")
-    end_ns = max(trial.pairs[-1][0], spec.end_ns or 0)
-    joints = [
-        s.t_ns for s in trial.scan.joints.get(trial.roles.hand_joints or "", []) if s.t_ns <= end_ns
-    ]
-    last_ns = max([trial.pairs[-1][0], *joints[-1:]])
+    end_ns = max(log.last_ns, log.limit_ns or 0)
+    joints = [s.t_ns for s in log.hand_samples if s.t_ns <= end_ns]
+    last_ns = max([log.last_ns, *joints[-1:]])
     if (last_ns - close_ns) * 1e-9 < AFTER_S:
         return Ended(
             "unknown",
             None,
             f"the log ends {max(0.0, (last_ns - close_ns) * 1e-9):.1f} s after the close",
         )
-    fingers = _pressing(trial, last_ns)
-    seen = _seen_after(trial, hindsight, close_ns)
+    fingers = _pressing(log.hand_samples, last_ns)
+    seen = _seen_after(log.robot, hindsight, close_ns)
     if fingers is None and seen is None:
         return Ended(
             "unknown", None, "neither efforts nor a sighting after the lift say how it ended"
@@ -99,14 +90,10 @@ def outcome_of(trial: Trial, hindsight: Hindsight | None) -> Ended:
     )
 
 
-def _pressing(trial: Trial, last_ns: int) -> tuple[bool, str] | None:
+def _pressing(hand_samples: tuple[JointSample, ...], last_ns: int) -> tuple[bool, str] | None:
     """What the fingers say at the end; None without the signals of a known hand."""
     first_ns = last_ns - round(LAST_S * 1e9)
-    samples = [
-        s
-        for s in trial.scan.joints.get(trial.roles.hand_joints or "", [])
-        if first_ns <= s.t_ns <= last_ns
-    ]
+    samples = [s for s in hand_samples if first_ns <= s.t_ns <= last_ns]
     for hand in hands():
         grip = hand.grip
         values = [s.positions if grip.signal == "position" else s.efforts for s in samples]
@@ -117,7 +104,7 @@ def _pressing(trial: Trial, last_ns: int) -> tuple[bool, str] | None:
 
 
 def _seen_after(
-    trial: Trial, hindsight: Hindsight | None, close_ns: int
+    robot: RobotStates, hindsight: Hindsight | None, close_ns: int
 ) -> tuple[bool, str] | None:
     """What registered sightings late in the log show: left on the support, or up with the hand."""
     if hindsight is None or hindsight.support is None:
@@ -141,9 +128,7 @@ def _seen_after(
     if float(np.median(np.abs(np.subtract(rises, rise)))) > STEADY_M:
         return None  # taken for something else from frame to frame
     at = (later[-1].t_ns - close_ns) * 1e-9
-    near = hand_distance(
-        trial.robot, later[-1].t_ns, transform(later[-1].T_base_model, centre[None])
-    )
+    near = hand_distance(robot, later[-1].t_ns, transform(later[-1].T_base_model, centre[None]))
     if rise < LEFT_BEHIND_M:
         if near is not None and near[0] < IN_HAND_M:
             return None

@@ -25,6 +25,7 @@ from dgeval.verdict.beliefs import (
     laid_on,
     steady,
 )
+from dgeval.verdict.log import log_of
 from tests.verdict.synthetic_trial import (
     CENTRE,
     COMMAND,
@@ -65,7 +66,7 @@ def error_at(t: float) -> Array:
 
 
 def beliefs(trial: Any, hindsight: Any = None) -> Beliefs:
-    found = beliefs_of(trial, hindsight_of() if hindsight is None else hindsight)
+    found = beliefs_of(log_of(trial), hindsight_of() if hindsight is None else hindsight)
     assert isinstance(found, Beliefs), found
     return found
 
@@ -386,13 +387,17 @@ def test_why_nothing_can_be_said(changed: dict[str, Any], why: str) -> None:
     """Catches an error that is told without the palm, the grasp, the camera or the robot's pose of
     the object.
     """
-    assert beliefs_of(believing_trial(**changed), hindsight_of()) == Unknown(why)
+    assert beliefs_of(log_of(believing_trial(**changed)), hindsight_of()) == Unknown(why)
 
 
 def test_where_a_pushed_object_was_not_seen_nothing_can_be_said() -> None:
     """Catches the path it had left, or a sighting more than 50 ms away, taken for where it was."""
-    assert beliefs_of(believing_trial(), pushed_hindsight(-0.5, LAST - 0.06)) == Unknown(NOT_KNOWN)
-    assert isinstance(beliefs_of(believing_trial(), pushed_hindsight(-0.5, LAST - 0.02)), Beliefs)
+    assert beliefs_of(log_of(believing_trial()), pushed_hindsight(-0.5, LAST - 0.06)) == Unknown(
+        NOT_KNOWN
+    )
+    assert isinstance(
+        beliefs_of(log_of(believing_trial()), pushed_hindsight(-0.5, LAST - 0.02)), Beliefs
+    )
 
 
 # parts

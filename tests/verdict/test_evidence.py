@@ -22,6 +22,7 @@ from dgeval.robots.dlr_hit_hand import ACTUATED, GRASP_CENTRE
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.verdict.beliefs import Beliefs, beliefs_of
 from dgeval.verdict.evidence import Scene, scene_of
+from dgeval.verdict.log import log_of
 from tests.verdict.synthetic_trial import (
     CENTRE,
     COMMAND,
@@ -69,9 +70,8 @@ TURNED = 1e-5  # of a rotation matrix, whose y axis is that of the velocity of 0
 
 
 def scene(trial: Any = None, hindsight: Any = None) -> Scene:
-    found = scene_of(
-        trial_of() if trial is None else trial, hindsight_of() if hindsight is None else hindsight
-    )
+    log = log_of(trial_of() if trial is None else trial)
+    found = scene_of(log, hindsight_of() if hindsight is None else hindsight)
     assert isinstance(found, Scene), found
     return found
 
@@ -249,7 +249,7 @@ def held(
     """
     path = sighted(SIGHTED[-n:], centre=CENTRE + UP * height, velocity=velocity, by=by)
     hindsight = hindsight_of(path, pushed=pushed, n_registered=10)
-    return scene_of(trial_of(), hindsight if support else replace(hindsight, support=None))
+    return scene_of(log_of(trial_of()), hindsight if support else replace(hindsight, support=None))
 
 
 @pytest.mark.parametrize(
@@ -492,7 +492,7 @@ def test_beliefs_come_in_the_support_frame() -> None:
         trial_of(poses=poses, twists={VELOCITY: [twist(-0.2, (0.1, 0.0, 0.0))]}),
         hindsight_of(),
     )
-    base, found = beliefs_of(trial, hindsight), scene(trial, hindsight).beliefs
+    base, found = beliefs_of(log_of(trial), hindsight), scene(trial, hindsight).beliefs
     assert isinstance(base, Beliefs)
     assert isinstance(found, Beliefs)
     assert base.goal is not None
@@ -546,7 +546,7 @@ def without(samples: list[JointSample], first: float, last: float) -> list[Joint
 )  # fmt: skip
 def test_why_there_is_no_scene(trial: dict[str, Any], hindsight: dict[str, Any], why: str) -> None:
     """Catches a verdict from what is not known, and a reason that is not the one."""
-    assert scene_of(trial_of(**trial), hindsight_of(**hindsight)) == Unknown(why)
+    assert scene_of(log_of(trial_of(**trial)), hindsight_of(**hindsight)) == Unknown(why)
 
 
 def test_just_enough_for_a_scene() -> None:
@@ -563,7 +563,7 @@ def test_just_enough_for_a_scene() -> None:
 def test_without_a_base_frame_there_is_no_scene() -> None:
     trial = trial_of()
     trial = replace(trial, robot=replace(trial.robot, base_frame=None))
-    assert scene_of(trial, hindsight_of()) == Unknown(NO_GEOMETRY)
+    assert scene_of(log_of(trial), hindsight_of()) == Unknown(NO_GEOMETRY)
 
 
 def test_the_jaw_is_known_too() -> None:

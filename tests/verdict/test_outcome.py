@@ -15,10 +15,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dgeval.config import Config
 from dgeval.geometry import Array
 from dgeval.hindsight.smoothing import Sighting
 from dgeval.perception.plane import Plane
 from dgeval.recording.messages import Event, JointSample
+from dgeval.recording.pairing import Pair
+from dgeval.verdict.log import log_of
 from dgeval.verdict.outcome import Ended, outcome_of
 
 OUTCOME = "dgeval.verdict.outcome"
@@ -54,10 +57,19 @@ def trial(
         event_ns=lambda kind: next((e.t_ns for e in every if e.kind == kind), None),
         damage=list(damage),
         robot=None,  # `hand_distance` is replaced where it counts
-        pairs=[(START, 0, 0), (at(last_s), 1, 1)],
-        scan=SimpleNamespace(poses=poses or {}, joints={"/joints": list(joints)}),
+        pairs=[Pair(START, 0, 0), Pair(at(last_s), 1, 1)],
+        scan=SimpleNamespace(
+            poses=poses or {}, joints={"/joints": list(joints)}, times={}, twists={}
+        ),
         roles=SimpleNamespace(hand_joints=hand_joints),
+        config=Config(),
+        opened=None,
     )
+
+
+def outcome(made: Any, hindsight: Any) -> Ended:
+    """How the trial ended, from what its log says."""
+    return outcome_of(log_of(made), hindsight)
 
 
 def efforts(*by_finger: float, last_s: float = 4.0, n: int = 20) -> list[JointSample]:
@@ -91,10 +103,10 @@ NOTHING_SAID = Ended(
 def test_an_operators_label_wins(label: str, joints: list[JointSample]) -> None:
     """Catches a log that overrules the operator, and a label read the other way round."""
     told = Ended(label, "label", "an operator's label says so")  # type: ignore[arg-type]
-    assert outcome_of(trial(joints=joints, label=label), None) == told
+    assert outcome(trial(joints=joints, label=label), None) == told
     event = Event(at(3.0), "label", {"label": label})
-    assert outcome_of(trial([event], joints), None) == told
-    assert outcome_of(trial(closed=False, label=label, damage=["torn"]), None) == told, (
+    assert outcome(trial([event], joints), None) == told
+    assert outcome(trial(closed=False, label=label, damage=["torn"]), None) == told, (
         "without a close too"
     )
 
@@ -102,7 +114,7 @@ def test_an_operators_label_wins(label: str, joints: list[JointSample]) -> None:
 def test_the_manifests_label_goes_before_the_logs() -> None:
     """Catches a correction in the manifest that has no effect."""
     event = Event(at(3.0), "label", {"label": "failure"})
-    assert outcome_of(trial([event], label="success"), None).outcome == "success"
+    assert outcome(trial([event], label="success"), None).outcome == "success"
 
 
 def test_the_first_label_of_the_log_counts() -> None:
@@ -110,14 +122,14 @@ def test_the_first_label_of_the_log_counts() -> None:
     events = [
         Event(at(k), "label", {"label": label}) for k, label in ((3, "failure"), (4, "success"))
     ]
-    assert outcome_of(trial(events), None).outcome == "failure"
+    assert outcome(trial(events), None).outcome == "failure"
 
 
 @pytest.mark.parametrize("label", [None, "maybe", 1])
 def test_a_label_that_says_neither_is_passed_over(label: object) -> None:
     """Catches any label but "success" taken for a failure."""
     event = Event(at(3.0), "label", {} if label is None else {"label": label})
-    assert outcome_of(trial([event], GRIP), None).source == "inferred"
+    assert outcome(trial([event], GRIP), None).source == "inferred"
 
 
 # without a close
@@ -129,10 +141,10 @@ END = Event(at(4.0), "trial_end", {})
 def test_no_close() -> None:
     """Catches a trial without an attempt called a failure."""
     none = Ended("no_grasp", "inferred", "the log has no close command")
-    assert outcome_of(trial(closed=False), None) == none
-    assert outcome_of(trial(closed=False, poses=GRASP), None) == none, "the trial went on"
-    assert outcome_of(trial([END], closed=False), None) == none, "nobody chose a grasp"
-    assert outcome_of(trial([END], closed=False, poses={"/dgeval/belief/grasp": []}), None) == none
+    assert outcome(trial(closed=False), None) == none
+    assert outcome(trial(closed=False, poses=GRASP), None) == none, "the trial went on"
+    assert outcome(trial([END], closed=False), None) == none, "nobody chose a grasp"
+    assert outcome(trial([END], closed=False, poses={"/dgeval/belief/grasp": []}), None) == none
 
 
 def test_an_attempt_that_ran_out_is_a_failure() -> None:
@@ -142,7 +154,7 @@ def test_an_attempt_that_ran_out_is_a_failure() -> None:
     told = Ended(
         "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
     )
-    assert outcome_of(trial([END], closed=False, poses=GRASP), None) == told
+    assert outcome(trial([END], closed=False, poses=GRASP), None) == told
 
 
 def test_damage_goes_before_what_is_missing() -> None:
@@ -150,9 +162,9 @@ def test_damage_goes_before_what_is_missing() -> None:
     told = Ended(
         "incomplete", None, "the recording is damaged and what can be read of it has no close"
     )
-    assert outcome_of(trial([END], closed=False, poses=GRASP, damage=["torn"]), None) == told
-    assert outcome_of(trial(closed=False, damage=["torn"]), None) == told
-    assert outcome_of(trial(joints=EMPTY, damage=["torn"]), None).outcome == "failure", (
+    assert outcome(trial([END], closed=False, poses=GRASP, damage=["torn"]), None) == told
+    assert outcome(trial(closed=False, damage=["torn"]), None) == told
+    assert outcome(trial(joints=EMPTY, damage=["torn"]), None).outcome == "failure", (
         "the close was read"
     )
 
@@ -165,25 +177,25 @@ def test_damage_goes_before_what_is_missing() -> None:
 )
 def test_a_log_that_ends_at_the_close_says_nothing(last_s: float, told: str) -> None:
     """Catches fingers judged while they close, and a negative time told."""
-    found = outcome_of(trial(joints=efforts(0.3, 0.3, last_s=last_s), last_s=last_s), None)
+    found = outcome(trial(joints=efforts(0.3, 0.3, last_s=last_s), last_s=last_s), None)
     assert found == Ended("unknown", None, f"the log ends {told} s after the close")
 
 
 def test_from_one_second_on_the_fingers_are_at_rest() -> None:
     """Catches `<=` for `<`."""
     joints = efforts(0.3, 0.2, last_s=1.0)
-    assert outcome_of(trial(joints=joints, last_s=1.0), None).outcome == "success"
+    assert outcome(trial(joints=joints, last_s=1.0), None).outcome == "success"
 
 
 def test_joints_that_outlast_the_frames_count_up_to_the_trials_end() -> None:
     """Catches joints of the next trial, and a log judged by its last frame alone."""
     joints = [*efforts(0.0, 0.0, last_s=2.0), *efforts(0.3, 0.2, last_s=3.0)]
     frames_end = trial(joints=joints, last_s=0.2, end_s=3.0)
-    assert outcome_of(frames_end, None).evidence == GRIP_SAYS
-    assert outcome_of(trial(joints=joints, last_s=0.2, end_s=2.5), None).outcome == "failure"
+    assert outcome(frames_end, None).evidence == GRIP_SAYS
+    assert outcome(trial(joints=joints, last_s=0.2, end_s=2.5), None).outcome == "failure"
     ended = Ended("unknown", None, "the log ends 0.2 s after the close")
-    assert outcome_of(trial(joints=joints, last_s=0.2, end_s=0.9), None) == ended
-    assert outcome_of(trial(joints=joints, last_s=0.2), None) == ended
+    assert outcome(trial(joints=joints, last_s=0.2, end_s=0.9), None) == ended
+    assert outcome(trial(joints=joints, last_s=0.2), None) == ended
 
 
 # fingers
@@ -193,8 +205,8 @@ def test_fingers_that_press() -> None:
     """Catches a sign of effort that matters, confidence of a failure for one of a success, fingers
     listed out of order.
     """
-    assert outcome_of(trial(joints=GRIP), None) == Ended("success", "inferred", GRIP_SAYS, 0.97)
-    found = outcome_of(trial(joints=EMPTY), None)
+    assert outcome(trial(joints=GRIP), None) == Ended("success", "inferred", GRIP_SAYS, 0.97)
+    found = outcome(trial(joints=EMPTY), None)
     assert (found.outcome, found.source, found.evidence) == ("failure", "inferred", EMPTY_SAYS)
     assert found.p_success == pytest.approx(0.03)
 
@@ -210,7 +222,7 @@ def test_fingers_that_press() -> None:
 )
 def test_two_fingers_with_more_than_0_05_nm_hold(by_finger: tuple[float, ...], held: bool) -> None:
     """Catches another line, and one finger taken for a grip."""
-    assert outcome_of(trial(joints=efforts(*by_finger)), None).outcome == (
+    assert outcome(trial(joints=efforts(*by_finger)), None).outcome == (
         "success" if held else "failure"
     )
 
@@ -219,17 +231,17 @@ def test_both_flexion_joints_of_a_finger_are_looked_at() -> None:
     """Catches joints paired across fingers: two joints of one finger are one finger."""
     values = dict.fromkeys(FLEXION, 0.0) | {"index_1": 0.2, "index_2": 0.2}
     one = [JointSample(at(4 - 0.02 * k), {}, values) for k in reversed(range(20))]
-    assert outcome_of(trial(joints=one), None).outcome == "failure"
+    assert outcome(trial(joints=one), None).outcome == "failure"
     values = dict.fromkeys(FLEXION, 0.0) | {"index_1": 0.2, "middle_1": 0.2}
     two = [JointSample(at(4 - 0.02 * k), {}, values) for k in reversed(range(20))]
-    assert outcome_of(trial(joints=two), None).outcome == "success"
+    assert outcome(trial(joints=two), None).outcome == "success"
 
 
 def test_efforts_of_abduction_are_not_a_grip() -> None:
     """Catches fingers that are spread apart taken for ones that press."""
     spread = dict.fromkeys(FLEXION, 0.0) | {f"{f}_0": 0.5 for f in FINGERS}
     joints = [JointSample(at(4 - 0.02 * k), {}, spread) for k in reversed(range(20))]
-    assert outcome_of(trial(joints=joints), None).outcome == "failure"
+    assert outcome(trial(joints=joints), None).outcome == "failure"
 
 
 def test_efforts_are_judged_by_their_mean_over_the_last_half_second() -> None:
@@ -239,29 +251,29 @@ def test_efforts_are_judged_by_their_mean_over_the_last_half_second() -> None:
         for k in range(10)
         for s in efforts(0.3 * (-1) ** k, 0.3 * (-1) ** k, last_s=4 - 0.02 * k, n=1)
     ][::-1]
-    assert outcome_of(trial(joints=swinging), None).outcome == "failure"
+    assert outcome(trial(joints=swinging), None).outcome == "failure"
     dropped = [*efforts(0.3, 0.3, last_s=3.4, n=50), *efforts(0.0, 0.0, last_s=4.0, n=25)]
-    assert outcome_of(trial(joints=dropped), None).outcome == "failure"
+    assert outcome(trial(joints=dropped), None).outcome == "failure"
 
 
 @pytest.mark.parametrize(("n", "said"), [(4, False), (5, True)])
 def test_fewer_than_five_samples_say_nothing(n: int, said: bool) -> None:
     """Catches a single sample believed."""
-    found = outcome_of(trial(joints=efforts(0.3, 0.3, n=n)), None)
+    found = outcome(trial(joints=efforts(0.3, 0.3, n=n)), None)
     assert found == NOTHING_SAID if not said else found.outcome == "success"
 
 
 def test_samples_without_efforts_say_nothing() -> None:
     """Catches missing efforts taken for 0, in all joints or in one."""
     silent = [JointSample(s.t_ns, s.positions) for s in GRIP]
-    assert outcome_of(trial(joints=silent), None) == NOTHING_SAID
+    assert outcome(trial(joints=silent), None) == NOTHING_SAID
     partly = [
         JointSample(s.t_ns, s.positions, {n: e for n, e in s.efforts.items() if n != "ring_1"})
         for s in GRIP
     ]
-    assert outcome_of(trial(joints=partly), None) == NOTHING_SAID
-    assert outcome_of(trial(), None) == NOTHING_SAID
-    assert outcome_of(trial(joints=GRIP, hand_joints=None), None) == NOTHING_SAID, (
+    assert outcome(trial(joints=partly), None) == NOTHING_SAID
+    assert outcome(trial(), None) == NOTHING_SAID
+    assert outcome(trial(joints=GRIP, hand_joints=None), None) == NOTHING_SAID, (
         "no topic has that role"
     )
 
@@ -282,7 +294,7 @@ def test_jaws_hold_what_keeps_them_2_mm_apart(
     left_m: float, right_m: float, held: bool, said: str
 ) -> None:
     """Catches one jaw's position taken for their distance, and the line for one of them."""
-    found = outcome_of(trial(joints=jaws(left_m, right_m)), None)
+    found = outcome(trial(joints=jaws(left_m, right_m)), None)
     assert (found.outcome, found.evidence) == ("success" if held else "failure", said)
     assert found.p_success == pytest.approx(0.97 if held else 0.03)
 
@@ -290,13 +302,13 @@ def test_jaws_hold_what_keeps_them_2_mm_apart(
 def test_jaws_are_judged_by_their_median() -> None:
     """Catches a single sample of a bouncing jaw, as the last is here, believed."""
     joints = [*jaws(0.0, 0.0, last_s=3.98), *jaws(0.04, 0.04, n=1)]
-    assert outcome_of(trial(joints=joints), None).outcome == "failure"
+    assert outcome(trial(joints=joints), None).outcome == "failure"
 
 
 def test_one_jaw_alone_says_nothing() -> None:
     """Catches a missing joint taken for one at 0."""
     joints = [JointSample(s.t_ns, {"left_jaw": 0.02}) for s in jaws(0.02, 0.02)]
-    assert outcome_of(trial(joints=joints), None) == NOTHING_SAID
+    assert outcome(trial(joints=joints), None) == NOTHING_SAID
 
 
 # sightings: the support is z = 0, and at the close the object's middle is at rest at z = 0.06
@@ -349,7 +361,7 @@ LEFT = "the object is seen left on its support 2.2 s after the close"
 )
 def test_an_object_left_on_its_support(seen: Seen, rise_m: float, said: bool) -> None:
     """Catches another line, and an object that fell lower than it stood."""
-    found = outcome_of(trial(), seen([rise_m] * 3, 0.5))
+    found = outcome(trial(), seen([rise_m] * 3, 0.5))
     if not said:
         assert found == NOTHING_SAID
         return
@@ -362,15 +374,13 @@ def test_an_object_low_in_the_hand_is_not_left_behind(
     seen: Seen, hand_m: float | None, said: bool
 ) -> None:
     """Catches a hand that did not rise taken for one that left the object."""
-    assert outcome_of(trial(), seen([0.0] * 3, hand_m)).outcome == (
-        "failure" if said else "unknown"
-    )
+    assert outcome(trial(), seen([0.0] * 3, hand_m)).outcome == ("failure" if said else "unknown")
 
 
 @pytest.mark.parametrize(("hand_m", "said"), [(0.0999, True), (0.1001, False), (None, True)])
 def test_an_object_up_with_the_hand(seen: Seen, hand_m: float | None, said: bool) -> None:
     """Catches something else high up, away from the hand, taken for the object."""
-    found = outcome_of(trial(), seen([0.18] * 3, hand_m))
+    found = outcome(trial(), seen([0.18] * 3, hand_m))
     if not said:
         assert found == NOTHING_SAID
         return
@@ -380,7 +390,7 @@ def test_an_object_up_with_the_hand(seen: Seen, hand_m: float | None, said: bool
 
 def test_how_high_it_is_follows_the_median(seen: Seen) -> None:
     """Catches a mean that one wrong sighting moves across the line."""
-    found = outcome_of(trial(), seen([0.0, 0.0, 0.0, 0.0, 0.5], 0.5))
+    found = outcome(trial(), seen([0.0, 0.0, 0.0, 0.0, 0.5], 0.5))
     assert found.outcome == "failure"
 
 
@@ -396,7 +406,7 @@ def test_how_high_it_is_follows_the_median(seen: Seen) -> None:
 def test_unsteady_heights_say_nothing(seen: Seen, rises: list[float], said: bool) -> None:
     """Catches something else in every frame believed, and a spread that outliers make."""
     hand_m = 0.05
-    assert (outcome_of(trial(), seen(rises, hand_m)) != NOTHING_SAID) == said
+    assert (outcome(trial(), seen(rises, hand_m)) != NOTHING_SAID) == said
 
 
 @pytest.mark.parametrize(
@@ -414,13 +424,13 @@ def test_unsteady_heights_say_nothing(seen: Seen, rises: list[float], said: bool
 )
 def test_sightings_that_do_not_count(seen: Seen, given: dict[str, Any]) -> None:
     """Catches colour alone believed, sightings during the lift, and heights over no support."""
-    assert outcome_of(trial(), seen(**given)) == NOTHING_SAID
+    assert outcome(trial(), seen(**given)) == NOTHING_SAID
 
 
 def test_three_late_sightings_count(seen: Seen) -> None:
     """Catches `>=` and `>` mixed up in the number or the time."""
-    assert outcome_of(trial(), seen([0.0] * 3, first_s=1.51)).outcome == "failure"
-    assert outcome_of(trial(), seen([0.0] * 4, first_s=1.5)).outcome == "failure"
+    assert outcome(trial(), seen([0.0] * 3, first_s=1.51)).outcome == "failure"
+    assert outcome(trial(), seen([0.0] * 4, first_s=1.5)).outcome == "failure"
 
 
 # both
@@ -445,6 +455,6 @@ def test_fingers_and_sightings_together(
     """Catches a contradiction decided for one side, and confidence of one source where there are
     two.
     """
-    found = outcome_of(trial(joints=joints), seen([rise_m] * 3, hand_m))
+    found = outcome(trial(joints=joints), seen([rise_m] * 3, hand_m))
     assert found.p_success == pytest.approx(expected.p_success)
     assert replace(found, p_success=expected.p_success) == expected

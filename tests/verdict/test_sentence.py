@@ -41,10 +41,7 @@ CURVE = ((-0.99, False), (-0.03, False), (0.6, False))
 
 def trial(close_ns: int | None = CLOSE) -> Any:
     """From 0 to 4 s, closed at 2.5 s unless said otherwise."""
-    events = {"close": close_ns, "trial_start": START - SECOND}
-    return SimpleNamespace(
-        pairs=[(START, 0, 0), (START + 2 * SECOND, 1, 1), (LAST, 2, 2)], event_ns=events.get
-    )
+    return SimpleNamespace(first_ns=START, last_ns=LAST, close_ns=close_ns)
 
 
 def times(close_ns: int | None = CLOSE, pushed_ns: int | None = None) -> Times:
@@ -102,7 +99,7 @@ class Stages:
 
 
 Replace = Callable[..., Stages]
-CONFIG = load_config()
+CONFIG = load_config().verdict
 BLAMED = Blame("tracking", 0.6, {"servo": 0.0031, "tracking": 0.0204}, "recorded")
 
 
@@ -159,7 +156,7 @@ def test_collision(stages: Replace, seen: dict[str, int], link: str | None, expe
     """
     pushed = draw("collision", "displaced", link, displacement_m=0.0234, displacement_deg=11.6)
     stages(decision=decided(pushed))
-    found = judge(trial(), hindsight(contact_link=None, **seen), CONFIG)
+    found = judge(trial(), hindsight(contact_link=None, **seen), CONFIG, 0)
     assert found.row.evidence == (
         f"{CLOSED}: collision (87%). "
         f"{expected}; it was 23 mm and 12 degrees off its path by the close, "
@@ -261,7 +258,7 @@ def test_the_columns_of_a_verdict() -> None:
 def test_what_did_not_fail_has_no_cause(stages: Replace, ended: Ended) -> None:
     """Catches physics run for a success, and a class given to it."""
     asked = stages(ended=ended, decision=decided(draw("timing", "early"), shift_s=0.2))
-    found = judge(trial(), hindsight(), CONFIG)
+    found = judge(trial(), hindsight(), CONFIG, 0)
     rest = {"outcome": ended.outcome, "outcome_source": ended.source, "evidence": ended.evidence}
     assert asdict(found.row) == NOTHING | MEASURED | rest
     assert found == Judgement(found.row, CLOSE, None, ("a note of hindsight",))
@@ -272,7 +269,7 @@ def test_a_success_without_hindsight(stages: Replace) -> None:
     """Catches columns of hindsight read where there is none."""
     ended = Ended("success", "label", "an operator's label says so")
     stages(ended=ended)
-    found = judge(trial(None), None, CONFIG)
+    found = judge(trial(None), None, CONFIG, 0)
     rest = {"outcome": "success", "outcome_source": "label", "evidence": ended.evidence}
     assert found == Judgement(VerdictRow(**NOTHING | rest), None, None, ())
 
@@ -296,7 +293,7 @@ def without_cause(why: str) -> dict[str, Any]:
 def test_a_failure_without_hindsight(stages: Replace) -> None:
     """Catches a scene that is asked for without the object's path."""
     asked = stages(decision=decided(draw("timing", "early"), shift_s=0.2))
-    found = judge(trial(), None, CONFIG)
+    found = judge(trial(), None, CONFIG, 0)
     wanted = NOTHING | without_cause("the object was never tracked")
     assert found == Judgement(VerdictRow(**wanted), CLOSE, None, ())
     assert asked.asked == ()
@@ -308,7 +305,7 @@ def test_a_failure_without_a_scene(stages: Replace) -> None:
         scene=Unknown("what the object stands on was never seen"),
         decision=decided(draw("timing", "early")),
     )
-    found = judge(trial(), hindsight(), CONFIG)
+    found = judge(trial(), hindsight(), CONFIG, 0)
     wanted = NOTHING | MEASURED | without_cause("what the object stands on was never seen")
     assert found == Judgement(VerdictRow(**wanted), CLOSE, None, ("a note of hindsight",))
     assert asked.asked == ()
@@ -317,7 +314,7 @@ def test_a_failure_without_a_scene(stages: Replace) -> None:
 def test_a_cloud_without_a_solid_is_no_crash(stages: Replace) -> None:
     """Catches a cloud without a solid that ends the run, and a reason that is lost."""
     stages(decision=Unknown("the cloud of 40 points spans no volume"))
-    found = judge(trial(), hindsight(), CONFIG)
+    found = judge(trial(), hindsight(), CONFIG, 0)
     wanted = NOTHING | MEASURED | without_cause("the cloud of 40 points spans no volume")
     assert found == Judgement(VerdictRow(**wanted), CLOSE, None, ("a note of hindsight",))
 
@@ -325,8 +322,8 @@ def test_a_cloud_without_a_solid_is_no_crash(stages: Replace) -> None:
 def test_the_instrument_is_the_configured_one(stages: Replace) -> None:
     """Catches a setting that is not passed on, and draws and seed mixed up."""
     asked = stages(decision=decided(draw("timing", "early"), shift_s=0.2))
-    settings = ("verdict.method=geometry", "verdict.draws=5", "verdict.least=0.7", "seed=9")
-    judge(trial(), hindsight(), load_config(assignments=settings))
+    settings = ("verdict.method=geometry", "verdict.draws=5", "verdict.least=0.7")
+    judge(trial(), hindsight(), load_config(assignments=settings).verdict, 9)
     assert asked.asked == (asked.scene, "geometry", 5, 9, 0.7)
 
 
@@ -337,7 +334,7 @@ def test_the_row_of_a_failure(stages: Replace) -> None:
         probabilities=(0.2, 0.7, 0.1, 0.0),
     )
     stages(decision=given)
-    found = judge(trial(), hindsight(pushed_ns=START + 2 * SECOND), CONFIG)
+    found = judge(trial(), hindsight(pushed_ns=START + 2 * SECOND), CONFIG, 0)
     text = sentence(times(pushed_ns=START + 2 * SECOND), LEFT, given, "palm")
     assert text.startswith("the hand closed at 2.50 s")
     assert asdict(found.row) == MEASURED | {
@@ -350,7 +347,7 @@ def test_the_row_of_a_failure(stages: Replace) -> None:
 def test_the_row_of_a_doubt(stages: Replace) -> None:
     """Catches a doubt that loses its probabilities, its reason, or its blame's reason."""
     stages(decision=UNKNOWN, blame=Blame(Unknown("the class is unknown"), 0.0, {}, None))
-    found = judge(trial(), hindsight(), CONFIG)
+    found = judge(trial(), hindsight(), CONFIG, 0)
     names = ("p_imprecise_pose", "p_collision", "p_timing", "p_unknown")
     assert tuple(getattr(found.row, n) for n in names) == (0.1, 0.3, 0.1, 0.5)
     assert (found.row.failure_class, found.row.sub_cause) == ("unknown", None)
@@ -382,7 +379,7 @@ def test_the_link_that_most_draws_name(
 ) -> None:
     """Catches the first draw's link, and a choice that depends on the order of a set."""
     stages(decision=decided(*(draw("collision", "displaced", link) for link in links)))
-    found = judge(trial(), hindsight(), CONFIG)
+    found = judge(trial(), hindsight(), CONFIG, 0)
     assert found.link == expected
     assert f"{expected} pushed the object" in found.row.evidence
 
@@ -403,7 +400,7 @@ def test_the_decisive_moment_of_a_collision(
 ) -> None:
     """Catches the close shown where the push was seen."""
     stages(decision=decided(draw("collision", "displaced")))
-    assert judge(trial(), hindsight(**seen), CONFIG).decisive_ns == expected_ns
+    assert judge(trial(), hindsight(**seen), CONFIG, 0).decisive_ns == expected_ns
 
 
 @pytest.mark.parametrize(
@@ -427,7 +424,7 @@ def test_the_decisive_moment_of_the_other_classes(
     closed.
     """
     stages(decision=decided(draw(*given), shift_s=shift_s), ended=LEFT if close_ns else RAN_OUT)
-    found = judge(trial(close_ns), hindsight(pushed_ns=START + SECOND), CONFIG)
+    found = judge(trial(close_ns), hindsight(pushed_ns=START + SECOND), CONFIG, 0)
     assert found.decisive_ns == expected_ns
 
 
@@ -448,7 +445,7 @@ def notes(
     """
     draws = [draw("imprecise_pose", "missed") for _ in range(7)]
     stages(decision=decided(*draws), blame=blame, scene=SimpleNamespace(beliefs=beliefs, held=held))
-    first, *some, last = judge(trial(), hindsight(), CONFIG).notes
+    first, *some, last = judge(trial(), hindsight(), CONFIG, 0).notes
     assert first == "a note of hindsight"
     assert last == "verdict: twin, 7 draws, 75% reproduce the failure"
     return some

@@ -33,6 +33,7 @@ from dgeval.verdict.beliefs import Beliefs, beliefs_of, gains_of, growth, laid_o
 from dgeval.verdict.decide import Decision, blame_of
 from dgeval.verdict.draws import decide_scene
 from dgeval.verdict.evidence import Scene, of_hand
+from dgeval.verdict.log import Recorded, TrialLog
 from dgeval.verdict.twin import Twin
 from dgeval.worlds.objects import ObjectModel, surface_points, ten_objects
 from dgeval.worlds.shape import solid_from_cloud
@@ -433,7 +434,7 @@ def test_what_is_seen_high_up_but_away_from_the_hand_was_not_lifted(
             path=path, support=Plane(np.array([0.0, 0.0, 1.0]), 0.0, 1.0), sightings=places
         )
         monkeypatch.setattr("dgeval.verdict.outcome.hand_distance", lambda *_: (apart, "index_3"))
-        return outcome._seen_after(SimpleNamespace(robot=None), hindsight, 0)  # type: ignore[arg-type]
+        return outcome._seen_after(None, hindsight, 0)  # type: ignore[arg-type]
 
     assert said([0.2] * 6, 0.02) == (True, "the object is seen 20 cm up, 2.2 s after the close")
     assert said([0.2] * 6, 0.16) is None
@@ -467,30 +468,30 @@ def test_what_put_the_palm_off_is_told_apart(masked: bool, closed: bool) -> None
     predicted = [stamped(1.9, 0.0, 0.19 + 0.006)]
     palm = np.eye(4)
     palm[:3, 3] = [0.003, 0.21, 0.7]
-    times = (
-        {
-            "/dgeval/belief/mask": SimpleNamespace(
-                arrays=lambda: (np.array([p.t_ns for p in own]), None)
-            )
-        }
-        if masked
-        else {}
-    )
+    seen_ns = np.array([p.t_ns for p in own] if masked else [], dtype=np.int64)
     believed = [
         (round(t * seconds), np.array([0.0, 0.12, 0.0, 0, 0, 0])) for t in np.arange(0.4, 1.95, 0.1)
     ]
-    twists = {"/dgeval/belief/velocity": believed}
-    grasps = [stamped(0.5, 0.2, 0.1, 0.7), stamped(1.97, 0.0, 0.2, 0.7)]
-    trial = SimpleNamespace(
-        event_ns=lambda _: 2 * seconds if closed else None, opened=SimpleNamespace(topics={}), pairs=[(3 * seconds, 0)],
-        scan=SimpleNamespace(
-            poses={"/dgeval/belief/grasp": grasps, "/dgeval/belief/target_pose": [*own, *predicted]}, times=times, twists=twists
-        ),
-        robot=SimpleNamespace(T_base_palm=lambda _: palm, T_base_camera=lambda _: np.eye(4)),
-        config=SimpleNamespace(servo=SimpleNamespace(c_p_v=2.0)),
-    )  # fmt: skip
+    grasps = (stamped(0.5, 0.2, 0.1, 0.7), stamped(1.97, 0.0, 0.2, 0.7))
+    recorded = Recorded(grasps, (*own, *predicted), seen_ns, tuple(believed), (), lambda _: None)
+    robot = SimpleNamespace(T_base_palm=lambda _: palm, T_base_camera=lambda _: np.eye(4))
+    close_ns = 2 * seconds if closed else None
+    log = TrialLog(
+        0,
+        3 * seconds,
+        None,
+        close_ns,
+        None,
+        True,
+        False,
+        robot,
+        (),
+        0,
+        2.0,
+        recorded,  # type: ignore[arg-type]
+    )
     hindsight = SimpleNamespace(path=path, points=np.zeros((1, 3)), contact_ns=None, pushed_ns=None)
-    found = beliefs_of(trial, hindsight)  # type: ignore[arg-type]
+    found = beliefs_of(log, hindsight)  # type: ignore[arg-type]
     assert isinstance(found, Beliefs)
     at = 2.0 if closed else 1.97  # when it closed; else when it was nearest to its grasp
     np.testing.assert_allclose(

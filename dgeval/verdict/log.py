@@ -1,0 +1,124 @@
+"""What a verdict reads of a trial's recording, apart from hindsight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.geometry import Array
+from dgeval.recording.containers.container import Opened
+from dgeval.recording.contract import (
+    CLOSE_EVENT,
+    COMMAND_TOPIC,
+    GRASP_TOPIC,
+    LABEL_EVENT,
+    LABEL_KEY,
+    MASK_TOPIC,
+    MODEL_TOPIC,
+    TARGET_TOPIC,
+    TRIAL_END_EVENT,
+    VELOCITY_TOPIC,
+)
+from dgeval.recording.messages import JointSample, StampedPose, cloud_points
+from dgeval.recording.robot import RobotStates
+from dgeval.recording.trials import Trial
+
+MIN_MODEL_POINTS = 20  # fewer points of the robot's own model say nothing of where the object is
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """The robot's beliefs and commands as recorded; all empty where a log has none.
+
+    grasps: T_base_palm chosen. targets: T_camera_model, the robot's model frame. seen_ns (n,):
+    stamps of the images in which it saw the target itself. velocities, commands: (t_ns, twist
+    (6,) m/s, rad/s), of the target and of the palm, base frame. model: points (n, 3) m of its
+    model, model frame, recorded last before a time; None where there are none.
+    """
+
+    grasps: tuple[StampedPose, ...]
+    targets: tuple[StampedPose, ...]
+    seen_ns: NDArray[np.int64]
+    velocities: tuple[tuple[int, Array], ...]
+    commands: tuple[tuple[int, Array], ...]
+    model: Callable[[int], Array | None]
+
+
+@dataclass(frozen=True)
+class TrialLog:
+    """One trial as a verdict sees it.
+
+    first_ns, last_ns: first and last pair of images. limit_ns: where a manifest ends the trial.
+    close_ns: the close command. label: an operator's. ended: the robot wrote that the trial ended.
+    damaged: not all of the recording can be read. hand_samples: joint states that hold the
+    fingers, in their own clock. max_gap_ns: longest gap in joint states that is interpolated.
+    servo_gain: 1/s, of the robot's position servo, as configured.
+    """
+
+    first_ns: int
+    last_ns: int
+    limit_ns: int | None
+    close_ns: int | None
+    label: str | None
+    ended: bool
+    damaged: bool
+    robot: RobotStates
+    hand_samples: tuple[JointSample, ...]
+    max_gap_ns: int
+    servo_gain: float
+    recorded: Recorded
+
+    @property
+    def end_ns(self) -> int:
+        """The close, or the last pair of images without one."""
+        return self.last_ns if self.close_ns is None else self.close_ns
+
+
+def log_of(trial: Trial) -> TrialLog:
+    """What a verdict reads of a trial. Call it after the last pass over the images: reading them
+    finds damage.
+    """
+    label = trial.spec.label or next(
+        (str(e.fields.get(LABEL_KEY)) for e in trial.events if e.kind == LABEL_EVENT), None
+    )
+    scan = trial.scan
+    stamps = np.zeros(0, dtype=np.int64)
+    if MASK_TOPIC in scan.times:
+        stamps = scan.times[MASK_TOPIC].arrays()[0]
+    return TrialLog(
+        trial.pairs[0].t_ns,
+        trial.pairs[-1].t_ns,
+        trial.spec.end_ns,
+        trial.event_ns(CLOSE_EVENT),
+        label,
+        trial.event_ns(TRIAL_END_EVENT) is not None,
+        bool(trial.damage),
+        trial.robot,
+        tuple(scan.joints.get(trial.roles.hand_joints or "", [])),
+        round(trial.config.sync.max_pose_gap_s * 1e9),
+        trial.config.servo.c_p_v,
+        Recorded(
+            tuple(scan.poses.get(GRASP_TOPIC, [])),
+            tuple(scan.poses.get(TARGET_TOPIC, [])),
+            stamps,
+            tuple(scan.twists.get(VELOCITY_TOPIC, [])),
+            tuple(scan.twists.get(COMMAND_TOPIC, [])),
+            lambda t_ns: _model(trial.opened, t_ns),
+        ),
+    )
+
+
+def _model(opened: Opened, t_ns: int) -> Array | None:
+    """Points (n, 3) of the model recorded last before a time, or else first after it."""
+    if MODEL_TOPIC not in opened.topics:
+        return None
+    last = None
+    for message in opened.messages(frozenset({MODEL_TOPIC})):
+        if message.log_ns > t_ns and last is not None:
+            break
+        last = message
+    points = None if last is None else cloud_points(opened.decode(last))
+    return None if points is None or len(points) < MIN_MODEL_POINTS else points
