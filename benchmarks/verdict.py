@@ -1,11 +1,9 @@
 """Verdicts against the truth, over simulated failures that set nothing:
 `python -m benchmarks.verdict [OPTIONS]`.
 
-Physics first: trials are simulated without images, and what hindsight would have seen is modelled:
-the object's true path with errors as `benchmarks.truth` measures them on rendered recordings (a
-shared one of 2 mm and 2 degrees, 1 mm per sighting, sight lost where the camera loses it), and a
-cloud of the surface that a camera above sees. Robustness is measured by changing the simulated
-world in ways the verdict does not know.
+Physics first: trials are simulated without images, and what the second pass would have seen is
+modelled (`benchmarks.modelled`). Robustness is measured by changing the simulated world in ways the
+verdict does not know.
 """
 
 from __future__ import annotations
@@ -22,44 +20,29 @@ from typing import Any
 import dgeval.worlds  # noqa: F401  # isort: skip  (it chooses how images are drawn before mujoco is imported)
 import mujoco
 import numpy as np
-from dgeval.config import ServoConfig, VerdictConfig
-from dgeval.determinism import generator, limit_threads
+from dgeval.config import VerdictConfig
+from dgeval.determinism import limit_threads
 from dgeval.failure_rule import CLASSES, HANDED_OVER, Thresholds, Unknown
-from dgeval.geometry import Array, increment, invert
 from dgeval.hindsight.second_pass import blind_gap
 from dgeval.simulation.blame import blame
 from dgeval.simulation.campaign import Campaign, grasps_of, plan_of, simulate, world_of
 from dgeval.simulation.perception import ModelledPerception
-from dgeval.simulation.record import EFFORT_NOISE, JOINT_NOISE
 from dgeval.simulation.scenario import Plan, load_scenario
 from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import Prover, prove
-from dgeval.simulation.world import World, matrix_of, twin_path
+from dgeval.simulation.world import World
 from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
-from dgeval.verdict.beliefs import (
-    BEFORE_PUSH_NS,
-    DRIFT_NS,
-    Beliefs,
-    carried,
-    gains_of,
-    growth,
-    steady,
-)
-from dgeval.verdict.decide import blame_of, undecided
+from dgeval.verdict.decide import Decision, blame_of, undecided
 from dgeval.verdict.draws import decide_scene
-from dgeval.verdict.evidence import APPROACH_S, CLOSING, PERIOD_NS, HandMotion, Scene, of_hand
-from dgeval.verdict.outcome import LAST_S
+from dgeval.verdict.outcome import outcome_of
 from dgeval.worlds.closing import CONTROL_S
-from dgeval.worlds.objects import surface_points
 
+from benchmarks.modelled import at_ns, log_of_run, scene_of_run
 from benchmarks.result import RESULTS, table, write
 from benchmarks.simulation import PUBLISHED, rates
 
 # m, thresholds of the baseline on the causal pass; ours, not fitted to anything
 AWAY_M, JUMP_M = 0.015, 0.010
-# Standard deviations of modelled hindsight, as `benchmarks.truth` measures them on rendered
-# recordings: position m, turn degrees, sighting m, cloud m, velocity m/s.
-PLACE_M, TURN_DEG, SIGHTING_M, CLOUD_M, VELOCITY = 0.002, 2.0, 0.001, 0.0012, 0.001
 # control periods of a trial that began; a jaw gripper without a seed in reach stops at once
 MIN_TICKS = 20
 # the part of the robot that each injected fault is an error of
@@ -74,7 +57,6 @@ PART_OF = {
     "evaluator_bias": "execution",
     "close_shift": "execution",
 }
-HIDDEN_M = 0.02  # m, lower end of an object that is handed over: it is in the person's hand; ours
 # Changes of the simulated world: factors of friction, mass and contact time constant, m of radius,
 # another solver, a factor of the truth's thresholds; ours.
 VARIANTS = {
@@ -106,204 +88,6 @@ def change(world: World, variant: dict[str, float]) -> None:
     mujoco.mj_setConst(m, world.data)
     if "solver" in variant:
         m.opt.cone, m.opt.impratio, m.opt.iterations = mujoco.mjtCone.mjCONE_PYRAMIDAL, 1.0, 20
-
-
-def scene_from(run: Run, world: World, seed: int) -> Scene:
-    """What hindsight would have made of a recording of this run, through the calibrated camera.
-
-    seed: of the drawn errors.
-    """
-    rng = generator(seed, "modelled hindsight", run.plan.index)
-    plan = run.plan
-    end = run.close if run.close is not None else len(run.ticks) - 1
-    path = twin_path(
-        world.target,
-        plan.speed,
-        plan.x,
-        plan.y,
-        plan.yaw,
-        len(run.ticks) * CONTROL_S + 1,
-        world.setting,
-    )
-    held = world.presenter is not None
-    # an object that stands moves and lies level
-    flat = np.array([1.0, 1.0, float(held)])
-    drives = world.gripper.drives
-    fingers = np.array([world.model.joint(name).qposadr[0] for name in drives])
-    begin = max(0, end - round(APPROACH_S / CONTROL_S))
-    T_hand_camera = world.gripper.T_hand_camera
-    wrong_camera = T_hand_camera @ invert(T_hand_camera @ increment(np.array(plan.faults.hand_eye)))
-    hands, joints, objects, through, closing = [], [], [], [], []
-    for k in range(begin, end + 1):
-        world.restore(run.ticks[k].snapshot)
-        hands.append(world.T_base_hand())
-        # from true positions to observed positions
-        through.append(hands[-1] @ wrong_camera @ invert(hands[-1]))
-        joints.append(world.data.qpos[fingers] + rng.normal(0, JOINT_NOISE, len(drives)))
-        objects.append(world.T_base_object())
-    # the support is seen through the same camera too: in its frame the hand is displaced
-    T_true_observed = invert(through[-1])
-    hands = [T_true_observed @ T for T in hands]
-    through = [T_true_observed @ T for T in through]
-    objects = [D @ T for D, T in zip(through, objects, strict=True)]
-    for tick in run.ticks[end + 1 : end + 1 + CLOSING] if run.close is not None else []:
-        world.restore(tick.snapshot)
-        closing.append(world.data.qpos[fingers] + rng.normal(0, JOINT_NOISE, len(drives)))
-    T_end = matrix_of(path[end, :7])
-    accepted = [f.tick for f in run.frames if f.accepted and begin <= f.tick <= end]
-    last = accepted[-1] if accepted else end
-    # the object's position has an error that all sightings share, and one of the velocity that
-    # grows from the last sighting on
-    wrong = rng.normal(0, VELOCITY, 3) * flat
-    place = rng.normal(0, PLACE_M, 3) * [1, 1, 0.5]
-    velocity = path[end, 7:10] * flat + wrong
-    drift = wrong * (end - last) * CONTROL_S
-    # the object's cloud is turned a little about its own middle
-    turn = np.radians(rng.normal(0, TURN_DEG))
-    R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    points = surface_points(world.target, 1500, rng) @ (R @ T_end[:3, :3]).T + T_end[:3, 3]
-    points = points[
-        points[:, 2] > (T_end[2, 3] - world.target.extent()[2] / 2 + HIDDEN_M if held else 0.006)
-    ]
-    points = points + rng.normal(0, CLOUD_M, points.shape)
-    points += place + drift
-    places = np.array(
-        [
-            (T @ np.append(p, 1.0))[:3]
-            for T, p in zip(through, path[begin : end + 1, :3], strict=True)
-        ]
-    )
-    free = (places - T_end[:3, 3]) * flat
-    free[: last - begin + 1] -= drift
-    free[last - begin + 1 :] += wrong * (np.arange(last + 1, end + 1)[:, None] - end) * CONTROL_S
-    observed = np.full((end + 1 - begin, 4, 4), np.nan)
-    for k in accepted:
-        T = objects[k - begin] @ invert(T_end)
-        # about the object as it is believed to stand at the reference
-        T[:3, 3] += place + rng.normal(0, SIGHTING_M, 3) - T[:3, :3] @ (place + drift)
-        observed[k - begin] = T
-    motion = HandMotion(
-        np.arange(begin, end + 1, dtype=np.int64) * PERIOD_NS,
-        np.array(hands),
-        np.array(joints),
-        np.array([run.ticks[k].velocity for k in range(begin, end + 1)]),
-        of_hand(run.ticks[end].twist, hands[-1], world.gripper.T_hand_palm),
-        np.array(closing).reshape(-1, len(drives)),
-    )
-    gap = (end - last) * CONTROL_S
-    T_base_palm = np.array(hands) @ world.gripper.T_hand_palm
-    believed = beliefs(
-        run, T_base_palm, objects, T_true_observed, T_end, begin, velocity, place, drift, rng
-    )
-    return Scene(
-        motion,
-        points,
-        free,
-        velocity,
-        float(np.hypot(PLACE_M, VELOCITY * gap)),
-        TURN_DEG,
-        None if run.close is None else end - begin,
-        observed,
-        world.gripper,
-        believed,
-        held,
-    )
-
-
-def beliefs(
-    run: Run,
-    T_base_palm: Array,
-    observed: list[Array],
-    T_true_observed: Array,
-    T_end: Array,
-    begin: int,
-    velocity: Array,
-    place: Array,
-    carried_off: Array,
-    rng: np.random.Generator,
-) -> Beliefs | Unknown:
-    """Beliefs as `dgeval.verdict.beliefs` reads them from a recording.
-
-    T_base_palm, observed: palm and object (T_base_object, as hindsight sees it) by control period
-    from `begin`. T_true_observed: from the base frame into the frame of these and of T_end, the
-    undisturbed object at the end. velocity (3,) m/s: of the object. place, carried_off (3,) m:
-    hindsight's errors of the sightings, and since the last of them.
-    """
-    at = begin + len(observed) - 1
-    before = [f for f in run.frames if begin <= f.tick <= at]
-    grasps = [(f.tick, T) for f in before if (T := run.ticks[f.tick].T_base_grasp) is not None]
-    if run.close is None and grasps:
-        at = min(
-            grasps,
-            key=lambda g: float(
-                np.linalg.norm(T_base_palm[g[0] - begin, :3, 3] - (T_true_observed @ g[1])[:3, 3])
-            ),
-        )[0]
-        before, grasps = [f for f in before if f.tick <= at], [g for g in grasps if g[0] <= at]
-    own = [f for f in before if f.accepted and f.T_base_object is not None]
-    if not own or not grasps or own[-1].velocity is None:
-        return Unknown("beliefs not recorded")
-    tick, grasp = grasps[-1]
-    believed = before[-1].velocity if before[-1].velocity is not None else own[-1].velocity
-    grasp = T_true_observed @ grasp
-    recent = [f for f in own if (own[-1].tick - f.tick) * PERIOD_NS <= DRIFT_NS]
-    off = []
-    for f in recent:
-        assert f.T_base_object is not None
-        off.append(
-            (T_true_observed @ f.T_base_object)[:3, 3]
-            - observed[f.tick - begin][:3, 3]
-            - place
-            + rng.normal(0, SIGHTING_M, 3)
-        )
-    drift = growth([f.tick * PERIOD_NS for f in recent], off)
-    gain = None if run.close is not None else ServoConfig().c_p_v
-    errors = {
-        "servo": T_base_palm[at - begin, :3, 3] - grasp[:3, 3] - believed * (at - tick) * CONTROL_S
-    }
-    touched = next(
-        (k for k in range(begin, at) if run.ticks[k].contact), at + BEFORE_PUSH_NS // PERIOD_NS
-    )
-    until = min(at, touched - BEFORE_PUSH_NS // PERIOD_NS)
-    velocities = [(f.tick * PERIOD_NS, f.velocity) for f in before if f.velocity is not None]
-    free = [believed] if run.close is not None else steady(velocities, until * PERIOD_NS)
-    if free:
-        errors |= carried(
-            off[-1], drift, free[-1] - velocity, (at - own[-1].tick) * CONTROL_S, gain
-        )
-    else:
-        errors["tracking"] = off[-1]
-    goal = T_end @ invert(observed[tick - begin]) @ grasp
-    goal[:3, 3] += carried_off
-    to_grasp = [
-        (T_true_observed @ T)[:3, 3] - T_base_palm[k - begin, :3, 3]
-        for k, T in grasps
-        if k <= until
-    ]
-    gains = gains_of(
-        to_grasp, [run.ticks[k].twist[:3] - run.ticks[k].velocity for k, _ in grasps if k <= until]
-    )
-    return Beliefs(errors, goal, gains)
-
-
-def outcome(run: Run, world: World, seed: int) -> str:
-    """Success or failure, from the fingers' efforts or the gap between the jaws.
-
-    They are read as the recording would hold them, with noise.
-    """
-    if run.close is None:
-        return "failure"
-    grip = world.gripper.grip
-    position = grip.signal == "position"
-    joints = [world.model.joint(n) for n in grip.joints]
-    at = np.array([(j.qposadr if position else j.dofadr)[0] for j in joints])
-    rng = generator(seed, "efforts", run.plan.index)
-    rows = []
-    for tick in run.ticks[-round(LAST_S / CONTROL_S) :]:
-        world.restore(tick.snapshot)
-        noise = rng.normal(0, JOINT_NOISE if position else EFFORT_NOISE, len(at))
-        rows.append((world.data.qpos if position else world.data.qfrc_actuator)[at] + noise)
-    return "success" if grip.holds(np.array(rows))[0] else "failure"
 
 
 def causal_guess(run: Run, world: World) -> str:
@@ -370,8 +154,9 @@ def judge(job: Job) -> dict[str, Any]:
         perceiver = ModelledPerception(scenario, plan, world)
         run = run_trial(plan, scenario, world, grasps_of(campaign, plan), perceiver)
     succeeded = run.finish is not None and run.finish.success
-    sighted = [f.tick * PERIOD_NS for f in run.frames if f.accepted]
-    gap, sided = blind_gap(sighted, None if run.close is None else run.close * PERIOD_NS)
+    log = log_of_run(run, world, scenario.pipeline)
+    sighted = [at_ns(f.tick) for f in run.frames if f.accepted]
+    gap, sided = blind_gap(sighted, log.close_ns)
     out: dict[str, Any] = {
         "scenario": job.scenario,
         "id": plan.id,
@@ -382,7 +167,7 @@ def judge(job: Job) -> dict[str, Any]:
         "speed": plan.nominal_speed,
         "closed": run.close is not None,
         "outcome": "success" if succeeded else "failure",
-        "outcome_said": outcome(run, world, job.seed),
+        "outcome_said": outcome_of(log, None).outcome,
         "gap_s": gap,
         "gap_sided": sided,
         "present": plan.faults.present(),
@@ -414,15 +199,19 @@ def judge(job: Job) -> dict[str, Any]:
     )
     if job.blame:
         out["blame"] = blame(plan, lambda p: _succeeds(campaign, p))
-    scene = scene_from(run, world, job.seed)
+    scene = scene_of_run(run, world, scenario.pipeline, job.seed)
     for method in job.methods:
         start = time.process_time()
-        decision = decide_scene(scene, method, job.draws, 0, VerdictConfig().least)
+        decision: Decision | Unknown
+        if isinstance(scene, Unknown):
+            decision = scene
+        else:
+            decision = decide_scene(scene, method, job.draws, 0, VerdictConfig().least)
         if isinstance(decision, Unknown):
             decision = undecided(decision.reason, method)
         answer, draws = decision.answer, decision.draws
         known = None if isinstance(answer, Unknown) else answer
-        blamed = blame_of(decision, scene.beliefs)
+        blamed = blame_of(decision, scene if isinstance(scene, Unknown) else scene.beliefs)
         unblamed = blamed.part if isinstance(blamed.part, Unknown) else None
         out[method] = {
             "class": known.failure_class if known else "unknown",

@@ -94,9 +94,7 @@ class SyncConfig(Section):
 
 
 class SelfFilterConfig(Section):
-    margin: float = Field(
-        0.010, ge=0, description="m; depth this close to a hand link is dropped (DESIGN 4)"
-    )
+    margin: float = Field(0.010, ge=0, description="m; depth this close to a hand link is dropped")
     radius_default: float = Field(
         0.012, gt=0, description="m; capsule radius where a link has no shape that can be read"
     )
@@ -159,7 +157,9 @@ class ObservationConfig(Section):
 
 class RegistrationConfig(Section):
     method: Literal["small_gicp", "open3d", "kiss_icp"] = "small_gicp"
-    search_radius: float = Field(0.02, gt=0, description="m (PAPERS A4)")
+    search_radius: float = Field(
+        0.02, gt=0, description="m (docs/papers.md, 'ICP direction and fitness')"
+    )
     max_iterations: int = Field(15, ge=1)
     colour: bool = Field(
         True, description="refine with the tracker's image features (beyond the paper)"
@@ -176,15 +176,17 @@ class FusionConfig(Section):
     n_s: int = Field(5, ge=1, description="previous accepted observations (Table V, n_s)")
     epsilon: float = Field(0.01, gt=0, description="m (Table V, epsilon)")
     max_model_points: int = Field(
-        4096, ge=100, description="N_max; a random subset is kept beyond it (PAPERS A7)"
+        4096,
+        ge=100,
+        description="N_max; a random subset is kept beyond it (docs/papers.md, 'Random subset')",
     )
 
 
 class EstimationConfig(Section):
     sigma_acceleration: float = Field(
-        0.3, gt=0, description="m/s^2 (PAPERS 7: 0.3 belt, 1.0 handover)"
+        0.3, gt=0, description="m/s^2 (0.3 belt, 1.0 handover; docs/papers.md, 'Velocity filter')"
     )
-    sigma_position: float = Field(0.004, gt=0, description="m (PAPERS 7)")
+    sigma_position: float = Field(0.004, gt=0, description="m (docs/papers.md, 'Velocity filter')")
     loss_policy: Literal["constant_velocity", "zero"] = "constant_velocity"
     null_after_s: float = Field(
         1.0, gt=0, description="without an accepted frame, feature and velocity become null"
@@ -198,7 +200,11 @@ class GraspsConfig(Section):
         "one it knows",
     )
     candidates: int = Field(
-        256, ge=1, le=10_000, description="grasps drawn per frame (paper: not given, PAPERS A14)"
+        256,
+        ge=1,
+        le=10_000,
+        description="grasps drawn per frame (paper: not given, "
+        "docs/papers.md, 'Number and order of grasps')",
     )
     max_overlap: float = Field(
         0.004,
@@ -228,7 +234,9 @@ class GraspsConfig(Section):
 class SelectionConfig(Section):
     c_m_s: float = Field(1.0, description="Table V, c_m,s")
     c_m_t: float = Field(
-        -0.1, description="per m (Table V, c_m,t; distance always costs, PAPERS A1)"
+        -0.1,
+        description="per m (Table V, c_m,t; distance always costs, "
+        "docs/papers.md, 'Signs of equation 5')",
     )
     c_m_r: float = Field(-0.2, description="per rad (Table V, c_m,r)")
     keep_margin: float = Field(
@@ -241,13 +249,17 @@ class SelectionConfig(Section):
         False, description="the signs of equation 5 as printed, which reward distance"
     )
     rotation_vector_difference: bool = Field(
-        False, description="|r_G - r_R| instead of the geodesic angle (PAPERS A2)"
+        False,
+        description="|r_G - r_R| instead of the geodesic angle "
+        "(docs/papers.md, 'Rotation distance')",
     )
 
 
 class ServoConfig(Section):
     gains: Literal["paper", "fast"] = Field(
-        "paper", description="paper: Table V; fast: c_d 0.2 and 0.5 (PAPERS A11)"
+        "paper",
+        description="paper: Table V; fast: c_d 0.2 and 0.5 "
+        "(docs/papers.md, 'Derivative of equation 7')",
     )
     c_p_v: float = 1.0
     c_d_v: float = 2.0
@@ -256,7 +268,9 @@ class ServoConfig(Section):
     c_O: float = Field(0.2, gt=0, description="m (Table V)")
     c_G: float = Field(0.05, gt=0, description="m (Table V)")
     derivative_tau: float = Field(
-        0.1, gt=0, description="s; low-pass of the derivative (PAPERS A11)"
+        0.1,
+        gt=0,
+        description="s; low-pass of the derivative (docs/papers.md, 'Derivative of equation 7')",
     )
     beyond_m: float = Field(
         0.0,
@@ -287,7 +301,7 @@ class VfasConfig(Section):
     labels: Literal["vfas", "jsll"] | None = Field(
         None,
         description="of scene and gripper points, 0/1 or 1/0; default: as the weights were trained "
-        "(PAPERS B8)",
+        "(docs/papers.md, 'Labels')",
     )
     centre: Literal["grasp", "mean"] | None = Field(
         None, description="what points are relative to; default: as the weights'"

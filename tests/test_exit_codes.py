@@ -21,7 +21,8 @@ def result(code: int, row: bool) -> TrialResult:
 # was lost. One that was not has no row: 2 for one that can't be opened, 3 for one that can't be
 # decoded, 4 for an internal error.
 KINDS = {
-    "whole": (0, True), "damaged": (3, True), "unreadable": (2, False), "undecodable": (3, False), "internal": (4, False),
+    "whole": (0, True), "damaged": (3, True), "unreadable": (2, False), "undecodable": (3, False),
+    "internal": (4, False),
 }  # fmt: skip
 
 

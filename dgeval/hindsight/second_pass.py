@@ -121,10 +121,28 @@ def look_back(
                 break
             insort(sightings, sighting, key=lambda s: s.t_ns)
             here = missed.pop() if missed and here.t_ns - missed[-1].t_ns < BACKWARD_NS else None
-    path, pushed_ns = free_path(trial.robot, sightings, model, centroid, end_ns)
-    moments = (
-        moments_of(trial.robot, seen, path, sightings, model, pushed_ns, end_ns) if attempt else ()
+    return hindsight_from(
+        trial.robot, seen, sightings, model, support, trial.event_ns(CLOSE_EVENT), attempt
     )
+
+
+def hindsight_from(
+    robot: RobotStates,
+    seen: list[Seen],
+    sightings: list[Sighting],
+    model: Model,
+    support: Plane | None,
+    close_ns: int | None,
+    attempt: bool,
+) -> Hindsight:
+    """Path, moments, contact and gap from all sightings, in time order.
+
+    seen: the frames, of which index and time count. support: base frame. attempt: whether there was
+    a close or a grasp in the log; without one there are no moments.
+    """
+    end_ns = close_ns or seen[-1].t_ns
+    path, pushed_ns = free_path(robot, sightings, model, model.points.mean(axis=0), end_ns)
+    moments = moments_of(robot, seen, path, sightings, model, pushed_ns, end_ns) if attempt else ()
     contact = next(
         (
             m
@@ -134,7 +152,6 @@ def look_back(
         None,
     )
     notes = [] if support is not None else ["hindsight: no support plane was seen"]
-    close_ns = trial.event_ns(CLOSE_EVENT)
     gap, sided = blind_gap([s.t_ns for s in sightings], close_ns)
     registered = sum(s.by == "registration" and s.t_ns <= end_ns for s in sightings)
     return Hindsight(

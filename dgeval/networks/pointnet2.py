@@ -21,7 +21,8 @@ from torch.nn import functional
 from dgeval.networks.checkpoints import load_strictly, metadata_of, read_weights
 from dgeval.networks.point_sets import farthest_points, gathered, neighbours_in_ball
 
-# m, corners of the box that the scene is cropped to, in the grasp frame (docs/papers.md, "Grasp evaluator")
+# m, corners of the box that the scene is cropped to, in the grasp frame (docs/papers.md, "Grasp
+# evaluator")
 CROP_LOW = np.array([-0.10, -0.05, -0.10])
 CROP_HIGH = np.array([0.10, 0.05, 0.03])
 
@@ -50,7 +51,8 @@ class Sizes:
 
 
 PUBLIC = Sizes()  # of the public weights (docs/papers.md, "Grasp evaluator")
-# of the shipped evaluator; the VFAS paper does not give these numbers (docs/papers.md, "Grasp evaluator")
+# of the shipped evaluator; the VFAS paper does not give these numbers (docs/papers.md, "Grasp
+# evaluator")
 VFAS = Sizes(0.5, (64, 16), (24, 24), (0.025, 0.05), "vfas", "grasp", -1.0, 512, 64)
 
 

@@ -254,19 +254,29 @@ def _tracking(
 def laid_on(points: Array, target: Array) -> Array:
     """T (4, 4) that moves points (n, 3) onto a cloud (m, 3), from where they are.
 
-    Trimmed iterative closest points: the nearest KEPT share of the matches counts.
+    Trimmed iterative closest points: the nearest KEPT share of the matches counts. Trimmed from the
+    start it can stop half-way, with most of a large flat face on another; with all points first,
+    strays can lead it away. Both are tried, and the closer one counts.
     """
     tree = cKDTree(target)
     points = points[:: max(1, len(points) // MOST_POINTS)]
-    T = np.eye(4)
+    T_trimmed, apart_trimmed = _closest(points, tree, np.eye(4), KEPT)
+    T_staged, apart_staged = _closest(points, tree, _closest(points, tree, np.eye(4), 1.0)[0], KEPT)
+    return T_trimmed if apart_trimmed <= apart_staged else T_staged
+
+
+def _closest(points: Array, tree: cKDTree, T: Array, kept: float) -> tuple[Array, float]:
+    """Iterative closest points from T (4, 4) on: where they end, and how far apart, m."""
+    target = np.asarray(tree.data)
     for _ in range(ROUNDS):
         moved = transform(T, points)
         distance, nearest = tree.query(moved)
-        used = distance <= np.quantile(distance, KEPT)
+        used = distance <= np.quantile(distance, kept)
         a, b = moved[used], target[np.asarray(nearest)[used]]
         U, _, Vt = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
         step = np.eye(4)
         step[:3, :3] = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
         step[:3, 3] = b.mean(axis=0) - step[:3, :3] @ a.mean(axis=0)
         T = step @ T
-    return T
+    distance, _ = tree.query(transform(T, points))
+    return T, float(np.mean(distance[distance <= np.quantile(distance, kept)]))

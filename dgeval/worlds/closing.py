@@ -20,6 +20,7 @@ LIFT_HEIGHT = 0.20  # m
 HOLD_S = 1.0  # s after the lift, through which a success must hold the object
 MIN_LIFT = 0.10  # m over its support: a lifted object is at least as high
 MAX_FROM_HAND = 0.15  # m, at most, from the grasp centre to the centre of a held object
+SHAKE_S = 0.3  # s of the hold in which a shaken grasp is shaken, one and a half periods
 # From this share of the lift's time on, a rise below this, m, means that the hand left the object
 # behind: the hand has risen by 0.08 m then.
 GIVEN_UP_SHARE, LEFT_BEHIND_M = 0.45, 0.01

@@ -7,6 +7,7 @@ them close and lift by `CloseAndLift`, which holds the one rule of success.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import mujoco
@@ -24,17 +25,22 @@ from dgeval.worlds.closing import (
     MAX_FROM_HAND,
     MIN_LIFT,
     SETTLE_S,
-    SUBSTEPS,
+    SHAKE_S,
     finishing_twist,
     swing,
 )
 from dgeval.worlds.presenter import GRIP, GRIPPED_N, RELEASE_S
-from dgeval.worlds.scene import TIMESTEP, finger_forces, least_distance
+from dgeval.worlds.scene import finger_forces, least_distance
 
 INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION  # the part of the state that is saved
 # Version of the rule in `CloseAndLift`. Recordings, shipped grasps and weights that name no version
 # were made with 1; docs/simulation.md, "Success", says what differed.
 SUCCESS_RULE = 2
+# Control periods after the close command: the lift is over, the hold is over, and from when on
+# a hand that has left the object behind is given up.
+LIFTED = round((CLOSE_S + SETTLE_S + LIFT_S) / CONTROL_S)
+HELD = LIFTED + round(HOLD_S / CONTROL_S)
+GIVEN_UP = math.floor((CLOSE_S + SETTLE_S + GIVEN_UP_SHARE * LIFT_S) / CONTROL_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,8 +204,9 @@ class HandOnHandle(HandAndObject):
     def move_hand(self, twist: Array, fingers: Array) -> None:
         """As in `HandAndObject`; the handle moves without a turn."""
         self.data.ctrl[self.drives] = fingers
-        for _ in range(SUBSTEPS):
-            self.data.mocap_pos[self._handle] += twist[:3] * TIMESTEP
+        step = self.model.opt.timestep
+        for _ in range(round(CONTROL_S / step)):
+            self.data.mocap_pos[self._handle] += twist[:3] * step
             mujoco.mj_step(self.model, self.data)
 
 
@@ -207,7 +214,7 @@ class CloseAndLift:
     """The hand closes, follows the object, lifts and holds, from the present state.
 
     drives (k,): drive positions before closing, rad or m. velocity (3,) m/s: at which the hand
-    follows. shake_m: travel of a shake at 5 Hz during the hold, 0 for none.
+    follows. shake_m: travel of a shake at 5 Hz in the first 0.3 s of the hold, 0 for none.
 
     The close succeeds if, in every control period of the 1.0 s after the lift, the object is at
     least 0.10 m above where it stood (in a person's hand: where it was at the close), touches the
@@ -237,7 +244,7 @@ class CloseAndLift:
         since, w = self.since_s, self.world
         twist = finishing_twist(since, self.velocity)
         held_s = since - CLOSE_S - SETTLE_S - LIFT_S
-        if self.shake_m and held_s >= 0:
+        if self.shake_m and 0 <= held_s < SHAKE_S - 1e-9:
             moved = swing(held_s + CONTROL_S, self.shake_m) - swing(held_s, self.shake_m)
             twist[:2] += moved / CONTROL_S
         w.move_hand(twist, w.gripper.targets(since, self.preshape))
@@ -259,14 +266,13 @@ class CloseAndLift:
         return self.success
 
     def _decided(self) -> bool | None:
-        lifting_s = self.since_s - CLOSE_S - SETTLE_S
-        if lifting_s > GIVEN_UP_SHARE * LIFT_S and self._object()[2] < self._rest + LEFT_BEHIND_M:
+        if self._periods > GIVEN_UP and self._object()[2] < self._rest + LEFT_BEHIND_M:
             return False
-        if lifting_s < LIFT_S:
+        if self._periods < LIFTED:
             return None
         if not self._in_hand():
             return False
-        return True if lifting_s > LIFT_S + HOLD_S else None
+        return True if self._periods >= HELD else None
 
     def _object(self) -> Array:
         w = self.world

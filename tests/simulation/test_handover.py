@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.verdict import scene_from
+from benchmarks.modelled import scene_of_run
 from dgeval.determinism import generator
 from dgeval.geometry import rotation_angle
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
@@ -21,6 +21,7 @@ from dgeval.simulation.scenario import Plan, Scenario, load_scenario, plan_trial
 from dgeval.simulation.setting import Setting
 from dgeval.simulation.truth import prove
 from dgeval.simulation.world import World, home, matrix_of, twin_path
+from dgeval.verdict.evidence import Scene
 from dgeval.verdict.twin import Twin
 from dgeval.worlds.objects import ten_objects
 from dgeval.worlds.presenter import Presenter, draw_presenter
@@ -113,7 +114,8 @@ def test_a_handover_ends_with_the_object_in_the_robots_hand_alone(scenario: Scen
     # the undisturbed path is the presenter's, not a place on the belt
     assert np.ptp(truth.twin[:, 1]) > 0.05 or np.ptp(truth.twin[:, 0]) > 0.05
     # the verdict's twin of it is a success too: the presenter lets go there as well
-    scene = scene_from(run, world, 7)
+    scene = scene_of_run(run, world, scenario.pipeline, 7)
+    assert isinstance(scene, Scene)
     assert scene.held
     failed = [
         Twin(scene, solid_from_cloud(scene.points, held=True), (0.0, dy, 0.0), 1.0, 1.0).approach()

@@ -26,6 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FEW = 5
 DECIDE, DRAWS = "dgeval/verdict/decide.py", "dgeval/verdict/draws.py"
 GEOMETRIC, JUDGE = "dgeval/verdict/geometric.py", "dgeval/verdict/judge.py"
+LIFT, TEST_LIFT = "dgeval/worlds/hand_and_object.py", "tests/worlds/test_close_and_lift.py"
 OUTCOME, PICTURE = "dgeval/verdict/outcome.py", "dgeval/verdict/picture.py"
 SENTENCE, RULE = "dgeval/verdict/sentence.py", "dgeval/failure_rule.py"
 TEST_BLAME, TEST_DECIDE = "tests/verdict/test_blame.py", "tests/verdict/test_decide.py"
@@ -510,8 +511,8 @@ MUTANTS = [
     ),
     Mutant(
         JUDGE,
-        "Times(trial.pairs[0][0], ",
-        'Times(trial.event_ns("trial_start"), ',
+        "Times(log.first_ns, ",
+        "Times(log.first_ns - 10**9, ",
         f"{TEST_SENTENCE}::test_collision",
     ),
     Mutant(
@@ -534,8 +535,8 @@ MUTANTS = [
         f"{TEST_OUTCOME}::test_from_one_second_on_the_fingers_are_at_rest",
     ),
     Mutant(
-        OUTCOME,
-        "label = spec.label or next(",
+        "dgeval/verdict/log.py",
+        "label = trial.spec.label or next(",
         "label = next(",
         f"{TEST_OUTCOME}::test_the_manifests_label_goes_before_the_logs",
     ),
@@ -592,6 +593,48 @@ MUTANTS = [
         "transform(T_camera_base @ hindsight.path.at(t_ns), hindsight.points)",
         "transform(T_base_camera @ hindsight.path.at(t_ns), hindsight.points)",
         f"{TEST_PICTURE}::test_the_camera_moves_the_picture",
+    ),
+    Mutant(
+        LIFT,
+        "return True if self._periods >= HELD else None",
+        "return True",
+        f"{TEST_LIFT}::test_what_is_held_for_a_second_after_the_lift_is_a_success",
+    ),
+    Mutant(
+        LIFT,
+        "if not self._in_hand():",
+        "if self._periods >= HELD and not self._in_hand():",
+        f"{TEST_LIFT}::test_one_period_without_any_of_the_conditions_is_a_failure",
+    ),
+    Mutant(
+        LIFT,
+        "or not w.touch().object or w.held_by_presenter",
+        "or w.held_by_presenter",
+        f"{TEST_LIFT}::test_one_period_without_any_of_the_conditions_is_a_failure",
+    ),
+    Mutant(
+        LIFT,
+        "or not w.touch().object or w.held_by_presenter",
+        "or not w.touch().object",
+        f"{TEST_LIFT}::test_a_person_lets_go_of_what_two_fingers_have_pressed_for_a_moment",
+    ),
+    Mutant(
+        LIFT,
+        "self._object()[2] if world.held_by_presenter else world.rest",
+        "world.rest",
+        f"{TEST_LIFT}::test_what_was_presented_must_rise_above_where_it_was_at_the_close",
+    ),
+    Mutant(
+        LIFT,
+        "self._gripped_s + CONTROL_S if gripped else 0.0",
+        "self._gripped_s + CONTROL_S * gripped",
+        f"{TEST_LIFT}::test_a_person_lets_go_of_what_two_fingers_have_pressed_for_a_moment",
+    ),
+    Mutant(
+        LIFT,
+        "self._periods > GIVEN_UP and ",
+        "",
+        f"{TEST_LIFT}::test_what_is_left_behind_is_given_up_early",
     ),
 ]
 

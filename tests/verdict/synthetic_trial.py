@@ -215,7 +215,8 @@ def palm_at(seconds: float) -> Array:
 
 
 def believed(seconds: float, error: Array, T_moved: Array | None = None) -> StampedPose:
-    """The robot's pose of its object model in the camera frame, off the object by an error (3,) m of the base frame.
+    """The robot's pose of its object model in the camera frame, off the object by an error (3,) m
+    of the base frame.
 
     T_moved: what was done to the object by then.
     """

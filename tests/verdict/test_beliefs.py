@@ -30,6 +30,7 @@ from tests.verdict.synthetic_trial import (
     CENTRE,
     COMMAND,
     GRASP,
+    HALF,
     OBJECT_VELOCITY,
     SIGHTED,
     T_MODEL_OWN,
@@ -99,7 +100,8 @@ def believing_trial(**changed: Any) -> Any:
 
 @pytest.mark.parametrize("modelled", [False, True])
 def test_errors_that_were_put_in_are_found(modelled: bool) -> None:
-    """Catches signs, frames of camera and model mixed up, and errors that are not carried on to the close.
+    """Catches signs, frames of camera and model mixed up, and errors that are not carried on to the
+    close.
 
     Without the robot's own model the error that it had from the start can't be seen.
     """
@@ -374,13 +376,15 @@ TARGETS = [believed(t, START) for t in OWN]
         ({"poses": {}}, NOT_RECORDED),
         ({"poses": {GRASP: [grasp_for(0.1)], TARGET: TARGETS}}, NOT_RECORDED),
         ({"poses": {GRASP: [grasp_for(-0.1)], TARGET: TARGETS[:1]}}, NOT_RECORDED),
-        ({"poses": {GRASP: [grasp_for(-0.1)], TARGET: [*TARGETS[:1], believed(0.1, START)]}}, NOT_RECORDED),
+        ({"poses": {GRASP: [grasp_for(-0.1)], TARGET: [*TARGETS[:1], believed(0.1, START)]}},
+         NOT_RECORDED),
         ({"hands": hand_poses(every(0.02, -2.0, -0.1))}, NOT_RECORDED),
         ({"close": None, "poses": {TARGET: TARGETS}}, NOT_RECORDED),
         ({"close": None, "hands": hand_poses(every(0.02, 0.2, 1.0)),
           "poses": {GRASP: [grasp_for(-0.1)], TARGET: TARGETS}}, NOT_RECORDED),
         ({"hands": hand_poses(every(0.02, -1.4, 1.0))}, NOT_KNOWN),
-        ({"hands": hand_poses([t for t in every(0.02, -2.0, 1.0) if not -0.7 < t < -0.1])}, NOT_KNOWN),
+        ({"hands": hand_poses([t for t in every(0.02, -2.0, 1.0) if not -0.7 < t < -0.1])},
+         NOT_KNOWN),
     ],
 )  # fmt: skip
 def test_why_nothing_can_be_said(changed: dict[str, Any], why: str) -> None:
@@ -511,6 +515,20 @@ def test_a_large_cloud_is_thinned_evenly() -> None:
     box = box[np.argsort(box[:, 0], kind="stable")]
     found = laid_on(box, box + np.array([0.0, 0.004, -0.003]))
     np.testing.assert_allclose(found[:3, 3], [0.0, 0.004, -0.003], atol=0.0005)
+
+
+def test_a_flat_box_far_off_is_reached() -> None:
+    """Catches a fit that is trimmed from the start: it stops where most of the top lies on the top
+    of the other.
+    """
+    flat = own_model(2000)
+    flat = transform(T_OBJECT_MODEL @ T_MODEL_OWN, flat) / HALF * [0.045, 0.04, 0.014]
+    seen = flat[flat[:, 2] > -0.008]  # by a camera above it
+    far = np.array([0.015, -0.04, 0.0])
+    found = laid_on(seen, flat + far)
+    np.testing.assert_allclose(
+        transform(found, seen).mean(axis=0), seen.mean(axis=0) + far, atol=0.003
+    )
 
 
 def test_the_tests_own_model_lies_on_hindsights_points() -> None:

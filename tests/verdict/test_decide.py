@@ -234,7 +234,8 @@ def test_a_collision_needs_a_failure_in_a_quarter_of_the_draws(
     assert class_of(decision) == ("collision" if known else "unknown")
     if not known:
         assert reason(decision) == (
-            "the hand hits the object in the 17% of the draws that end as recorded, and in the others all is well"
+            "the hand hits the object in the 17% of the draws that end as recorded, "
+            "and in the others all is well"
         )
 
 
@@ -527,7 +528,8 @@ def drawn(physics: Replace, seeds: int, **changed: object) -> Array:
 
 
 def test_how_widely_the_draws_are_spread(physics: Replace) -> None:
-    """Catches variances for standard deviations, degrees for radians, and a later half that is as narrow
+    """Catches variances for standard deviations, degrees for radians, and a later half that is as
+    narrow
     as the first.
 
     80 seeds: 400 and 480 draws, of which the standard deviation is known to 3.5 %; five times

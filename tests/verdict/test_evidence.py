@@ -512,7 +512,8 @@ OTHER_HAND = (
     + (
         '<link name="camera_color_optical_frame"/>'
         '<joint name="a" type="fixed"><parent link="hand_base"/><child link="palm_link"/></joint>'
-        '<joint name="b" type="fixed"><parent link="hand_base"/><child link="camera_color_optical_frame"/></joint></robot>'
+        '<joint name="b" type="fixed"><parent link="hand_base"/>'
+        '<child link="camera_color_optical_frame"/></joint></robot>'
     )
 )
 NO_GEOMETRY = "no robot description and base frame: the hand's geometry is not known"

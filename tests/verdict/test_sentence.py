@@ -201,7 +201,8 @@ def test_imprecise_pose(sub_cause: str, expected: str, displacement_m: float, pu
     """
     found = decided(draw("imprecise_pose", sub_cause, displacement_m=displacement_m))
     assert sentence(times(), LEFT, found, None) == (
-        f"{CLOSED}: imprecise pose (87%). The object {expected}; no close from -1.0 s to +0.6 s lifts it{pushed}"
+        f"{CLOSED}: imprecise pose (87%). The object {expected}; "
+        f"no close from -1.0 s to +0.6 s lifts it{pushed}"
     )
 
 
@@ -340,7 +341,8 @@ def test_the_row_of_a_failure(stages: Replace) -> None:
     assert asdict(found.row) == MEASURED | {
         "outcome": "failure", "outcome_source": "inferred", "evidence": text,
         "failure_class": "collision", "p_imprecise_pose": 0.2, "p_collision": 0.7, "p_timing": 0.1,
-        "p_unknown": 0.0, "sub_cause": "displaced", "blame": "tracking", "p_blame": 0.6, "belief_source": "recorded",
+        "p_unknown": 0.0, "sub_cause": "displaced", "blame": "tracking",
+        "p_blame": 0.6, "belief_source": "recorded",
     }  # fmt: skip
 
 
@@ -479,5 +481,6 @@ def test_notes_of_a_held_object(stages: Replace) -> None:
     """Catches an assumption that is not told."""
     assert notes(stages, BLAMED, held=True) == [
         "blame: servo 3 mm, tracking 20 mm",
-        "verdict: someone holds the object; it is assumed to be let go once two fingers press it for 0.1 s",
+        "verdict: someone holds the object; it is assumed to be let go "
+        "once two fingers press it for 0.1 s",
     ]

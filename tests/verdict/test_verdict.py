@@ -1,4 +1,6 @@
-"""Catches: a verdict that reads the truth, an invented class, a wrong instrument, intervals and tables that don't add up."""
+"""Catches: a verdict that reads the truth, an invented class, a wrong instrument, intervals and
+tables that don't add up.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.verdict import scene_from
+from benchmarks.modelled import scene_of_run
 from dgeval.config import Config
 from dgeval.failure_rule import CLASSES, Unknown, Verdict
 from dgeval.geometry import Array, increment, transform
@@ -27,6 +29,8 @@ from dgeval.report.summary import failure_shares, published, read_truth, success
 from dgeval.simulation.campaign import Campaign, simulate
 from dgeval.simulation.faults import Faults
 from dgeval.simulation.scenario import Plan, load_scenario
+from dgeval.simulation.trial import Run as Simulated
+from dgeval.simulation.world import World
 from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
 from dgeval.verdict import outcome
 from dgeval.verdict.beliefs import Beliefs, beliefs_of, gains_of, growth, laid_on, steady
@@ -44,6 +48,13 @@ from scipy.spatial.transform import Rotation
 ROOT = Path(__file__).resolve().parents[2]
 SMOKE = ROOT / "datasets" / "ci-smoke"
 Run = Callable[..., object]
+
+
+def modelled(run: Simulated, world: World) -> Scene:
+    """The scene of a simulated run, with hindsight's errors of seed 7."""
+    found = scene_of_run(run, world, Config(), 7)
+    assert isinstance(found, Scene)
+    return found
 
 
 # the second pass
@@ -100,7 +111,9 @@ def test_surface_does_not_forget_what_was_seen_early() -> None:
 def test_solid_from_what_a_camera_above_sees(
     name: str, kind: str, bound: float, yaw: float
 ) -> None:
-    """Catches a box with the edges of a hull, faces at the farthest of noisy points, and a yaw of the wrong sign."""
+    """Catches a box with the edges of a hull, faces at the farthest of noisy points, and a yaw
+    of the wrong sign.
+    """
     thing, rng = ten_objects()[name], np.random.default_rng(1)
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("z", yaw).as_matrix()
@@ -127,7 +140,9 @@ def rotation_of(T: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["mug", "cup"])
 def test_a_hand_reaches_into_a_vessel(name: str) -> None:
-    """Catches a vessel closed by its hull, and walls that lose their tilt when they are moved to the middle."""
+    """Catches a vessel closed by its hull, and walls that lose their tilt when they are moved to
+    the middle.
+    """
     thing, rng = ten_objects()[name], np.random.default_rng(1)
     points = (
         surface_points(thing, 3000, rng)
@@ -159,7 +174,8 @@ def test_noise_does_not_swell_a_solid(name: str) -> None:
     points = surface_points(thing, 2500, rng) + np.array([0.0, 0.0, thing.rest_height()])
     points = points[points[:, 2] > 0.006]
     solid, _ = solid_from_cloud(points + rng.normal(0, 0.0012, points.shape), "object")
-    # the farthest of noisy points stand out by 2.5 mm on each side; a hull of them makes every pass of a finger a push
+    # the farthest of noisy points stand out by 2.5 mm on each side; a hull of them makes every pass
+    # of a finger a push
     assert np.abs(solid.extent() - thing.extent()).max() < 0.004  # 5.5 mm without smoothing
 
 
@@ -192,7 +208,7 @@ def verdict_on(
     run, world = simulate(campaign, Plan("t", thing, 0.08, 0.47, -0.2, 0.3, -0.2, faults, 5, 0))
     assert run.finish is None or not run.finish.success
     truth = prove(run, world, near=False)
-    return truth.failure_class, decided(scene_from(run, world, 7), method=method)
+    return truth.failure_class, decided(modelled(run, world), method=method)
 
 
 def test_twin_finds_a_close_that_came_too_early(tmp_path: Path) -> None:
@@ -217,7 +233,7 @@ def test_an_error_of_the_path_far_from_the_hand_is_no_push(tmp_path: Path) -> No
     campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
     plan = Plan("t", "sugar_box", 0.08, 0.47, -0.2, 0.3, -0.2, Faults(close_shift=-2.0), 5, 0)
     run, world = simulate(campaign, plan)
-    scene = scene_from(run, world, 7)
+    scene = modelled(run, world)
     seen = scene.seen.copy()
     early = np.arange(len(seen)) < 20
     seen[early, :3, 3] += [0.03, 0.0, 0.0]
@@ -237,7 +253,7 @@ def test_a_place_that_is_not_known_gives_no_class(tmp_path: Path) -> None:
     campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
     plan = Plan("t", "sugar_box", 0.08, 0.47, -0.2, 0.3, -0.2, Faults(close_shift=-2.0), 5, 0)
     run, world = simulate(campaign, plan)
-    said = decided(replace(scene_from(run, world, 7), sd_m=0.05)).answer
+    said = decided(replace(modelled(run, world), sd_m=0.05)).answer
     assert isinstance(said, Unknown)
     assert "50 mm" in said.reason
 
@@ -252,14 +268,15 @@ def test_a_part_that_put_the_palm_off_is_blamed(tmp_path: Path) -> None:
     )
     assert run.finish is not None
     assert not run.finish.success
-    scene = scene_from(run, world, 7)
+    scene = modelled(run, world)
     believed = scene.beliefs
     assert isinstance(believed, Beliefs)
     assert float(np.linalg.norm(believed.errors["tracking"])) == pytest.approx(0.05, abs=0.005)
     decision = decided(scene)
     assert {d.restored["tracking"] for d in decision.draws.asked} == {True}
     assert blame_of(decision, believed).part == "tracking"
-    # the sign matters: displaced the other way the palm is farther off than before, and nothing is put right
+    # the sign matters: displaced the other way the palm is farther off than before, and nothing is
+    # put right
     turned = replace(believed, errors={**believed.errors, "tracking": -believed.errors["tracking"]})
     decision = decided(replace(scene, beliefs=turned))
     assert not any(d.restored["tracking"] for d in decision.draws.asked)
@@ -288,7 +305,7 @@ def test_a_hand_that_never_closed_has_a_part_to_blame(
         campaign, Plan("t", "gelatin_box", 0.08, 0.47, -0.2, 0.3, -0.2, faults, 5, 0)
     )
     assert run.close is None
-    scene = scene_from(run, world, 7)
+    scene = modelled(run, world)
     blamed = blame_of(decided(scene), scene.beliefs)
     assert blamed.part == part, (blamed, scene.beliefs)
 
@@ -331,7 +348,7 @@ def test_fingers_that_close_elsewhere_tell_a_wrong_place(tmp_path: Path) -> None
         0,
     )
     run, world = simulate(campaign, plan)
-    scene = scene_from(run, world, 7)
+    scene = modelled(run, world)
     assert len(scene.hand.closing) == 50
     apart = []
     for offset in ((0.0, 0.0), (0.0, 0.02), (-0.02, 0.0)):
@@ -356,10 +373,13 @@ def test_a_twist_of_the_palm_as_one_of_the_hand() -> None:
 
 
 def test_a_pushed_object_is_looked_for_where_it_was_and_will_be_seen() -> None:
-    """Catches a second pass that only looks on the path, and one that carries a sighting the wrong way in time."""
+    """Catches a second pass that only looks on the path, and one that carries a sighting the
+    wrong way in time.
+    """
     seconds = 1_000_000_000
     path = ObjectPath(
-        np.array([0, 2 * seconds]), np.array([[0, 0, 0], [0, 0.2, 0]]), np.tile([0.0, 0.1, 0.0], (2, 1)), np.zeros(2), 0.0,
+        np.array([0, 2 * seconds]), np.array([[0, 0, 0], [0, 0.2, 0]]),
+        np.tile([0.0, 0.1, 0.0], (2, 1)), np.zeros(2), 0.0,
         np.eye(3), 0.0, np.zeros(3),
     )  # fmt: skip
     off = [np.eye(4) for _ in range(2)]
@@ -376,12 +396,15 @@ def test_a_pushed_object_is_looked_for_where_it_was_and_will_be_seen() -> None:
 
 
 def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a second pass that goes forward only: thrown off its path, the object is found late and was there before."""
+    """Catches a second pass that goes forward only: thrown off its path, the object is found
+    late and was there before.
+    """
     step = 33_000_000
 
     def true(k: int) -> Array:
         T = np.eye(4)
-        # still until frame 20; then it moves 15 mm a frame, and from frame 30 on lies 15 cm off, for frame 35 to find
+        # still until frame 20; then it moves 15 mm a frame, and from frame 30 on lies 15 cm off,
+        # for frame 35 to find
         T[0, 3] = 0.015 * min(max(k - 20, 0), 10)
         return T
 
@@ -391,8 +414,10 @@ def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPat
     ]
     frames = [SimpleNamespace(index=k, t_ns=k * step) for k in range(40)]
     trial = SimpleNamespace(
-        frames=lambda: iter(frames), event_ns=lambda _: None, scan=SimpleNamespace(poses={"/dgeval/belief/grasp": [1]}),
-        robot=SimpleNamespace(T_base_palm=lambda _: None, hand_shapes=lambda _: None, T_base_camera=lambda _: None),
+        frames=lambda: iter(frames), event_ns=lambda _: None,
+        scan=SimpleNamespace(poses={"/dgeval/belief/grasp": [1]}),
+        robot=SimpleNamespace(T_base_palm=lambda _: None, hand_shapes=lambda _: None,
+        T_base_camera=lambda _: None),
     )  # fmt: skip
 
     def look(frame, seen, tracker, model, priors, observation, registration):
@@ -449,16 +474,20 @@ def test_what_is_seen_high_up_but_away_from_the_hand_was_not_lifted(
 @pytest.mark.parametrize("masked", [True, False])
 @pytest.mark.parametrize("closed", [True, False])
 def test_what_put_the_palm_off_is_told_apart(masked: bool, closed: bool) -> None:
-    """Catches a sign, a grasp that is not carried on to the close, a prediction taken for a sighting, and a wrong interval."""
+    """Catches a sign, a grasp that is not carried on to the close, a prediction taken for a
+    sighting, and a wrong interval.
+    """
     seconds = 1_000_000_000
 
     def stamped(t: float, x: float, y: float, z: float = 0.5) -> StampedPose:
         return StampedPose(round(t * seconds), "", "", np.array([x, y, z, 0, 0, 0, 1.0]))
 
-    # the object moves at 0.10 m/s along y; the robot believes 0.12, of which its pose's drift of 0.01 is a half, and sees the
+    # the object moves at 0.10 m/s along y; the robot believes 0.12, of which its pose's drift of
+    # 0.01 is a half, and sees the
     # object last at 1.8 s, 4 mm ahead of where it is
     path = ObjectPath(
-        np.array([0, 2 * seconds]), np.array([[0, 0, 0.5], [0, 0.2, 0.5]]), np.tile([0.0, 0.1, 0.0], (2, 1)), np.zeros(2), 0.0,
+        np.array([0, 2 * seconds]), np.array([[0, 0, 0.5], [0, 0.2, 0.5]]),
+        np.tile([0.0, 0.1, 0.0], (2, 1)), np.zeros(2), 0.0,
         Rotation.from_euler("z", 30, degrees=True).as_matrix(), 0.0, np.array([0.01, 0.0, 0.0]),
     )  # fmt: skip
     own = [
@@ -542,18 +571,20 @@ def test_what_is_handed_over_is_not_filled_down_to_the_table() -> None:
 
 @pytest.mark.slow
 def test_a_failed_handover_has_a_cause(tmp_path: Path) -> None:
-    """Catches an object that falls before it is gripped, one that nobody lets go, and a pillar down to the table."""
+    """Catches an object that falls before it is gripped, one that nobody lets go, and a pillar
+    down to the table.
+    """
     from dgeval.simulation.scenario import plan_trial
     from dgeval.simulation.truth import prove
 
     scenario = load_scenario("handover").model_copy(update={"grasps": "analytic", "faults": {}})
     plan = replace(
-        plan_trial(scenario, ten_objects(), 5, 1), faults=Faults(grasp_offset=(0, 0.06, 0, 0, 0, 0))
+        plan_trial(scenario, ten_objects(), 5, 0), faults=Faults(grasp_offset=(0, 0.06, 0, 0, 0, 0))
     )
     run, world = simulate(Campaign(scenario, 5, 1, tmp_path), plan)
     assert run.finish is not None
     assert not run.finish.success
-    scene = scene_from(run, world, 7)
+    scene = modelled(run, world)
     assert scene.held
     said = decided(scene)
     assert class_of(said) == prove(run, world, near=False).failure_class
