@@ -19,7 +19,7 @@ from dgeval.failure_rule import Unknown
 from dgeval.geometry import Array, increment, invert, pose_from_matrix, transform
 from dgeval.hindsight.second_pass import Hindsight, hindsight_from
 from dgeval.hindsight.smoothing import Sighting
-from dgeval.hindsight.surface import Seen
+from dgeval.hindsight.surface import CausalFrame
 from dgeval.perception.plane import Plane
 from dgeval.perception.types import Model
 from dgeval.recording.containers.container import Opened, RawMessage
@@ -176,12 +176,14 @@ def hindsight_of_run(run: Run, world: World, log: TrialLog, seed: int) -> Hindsi
         T_base_hand = world.T_base_hand()
         T = T_base_hand @ wrong_camera @ invert(T_base_hand) @ world.T_base_object()
         T[:3, 3] += place + wander * level + rng.normal(0, SIGHTING_M, 3)
-        sightings.append(Sighting(at_ns(k), T, "registration", False))
+        sightings.append(Sighting(at_ns(k), T, "registration"))
     world.restore(run.ticks[end].snapshot)
     through = world.T_base_hand() @ wrong_camera @ invert(world.T_base_hand())
     height = world.rest - world.target.rest_height()
     support = Plane(np.array([0.0, 0.0, 1.0]), -height, 1.0).moved(through)
-    seen = [Seen(f.index, at_ns(f.tick), np.eye(4), None, None, 0, 0, None) for f in run.frames]
+    seen = [
+        CausalFrame(f.index, at_ns(f.tick), np.eye(4), None, None, 0, 0, None) for f in run.frames
+    ]
     attempt = run.close is not None or bool(log.recorded.grasps)
     return hindsight_from(log.robot, seen, sightings, model, support, log.close_ns, attempt)
 

@@ -13,7 +13,7 @@ from dgeval.determinism import limit_threads
 from dgeval.errors import Place, UsageError
 from dgeval.hindsight import second_pass
 from dgeval.hindsight.second_pass import Hindsight
-from dgeval.hindsight.surface import Seen, Surface, seen_of
+from dgeval.hindsight.surface import CausalFrame, Surface, causal_frame_of
 from dgeval.perception.pipeline import Perception
 from dgeval.recording import trials
 from dgeval.recording.manifest import find_trials
@@ -60,14 +60,14 @@ def look_back(trial: Trial, steps: Iterable[Step], perception: Perception) -> Hi
     steps: all of `replay_trial` with this perception. They hold images: pass the iterator on
     instead of a list. Images are read a second time. None where the object was never tracked.
     """
-    seen: list[Seen] = []
+    frames: list[CausalFrame] = []
     surface = Surface()
     for step in steps:
-        if (known := seen_of(step)) is not None:
-            seen.append(known)
+        if (known := causal_frame_of(step)) is not None:
+            frames.append(known)
         if step.accepted and step.model is not None:
             surface.add(step.model)
-    return second_pass.look_back(trial, seen, surface, perception, trial.config)
+    return second_pass.look_back(trial, frames, surface, perception, trial.config)
 
 
 def judge_trial(trial: Trial, hindsight: Hindsight | None) -> Judgement:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dgeval.geometry import Array, invert, transform
 from dgeval.hindsight.smoothing import Path, Sighting
-from dgeval.hindsight.surface import Seen
+from dgeval.hindsight.surface import CausalFrame
 from dgeval.perception.self_filter import signed_distance
 from dgeval.perception.types import Model
 from dgeval.recording.robot import RobotStates
@@ -83,7 +83,7 @@ def nearest_link(
 
 def moments_of(
     robot: RobotStates,
-    seen: list[Seen],
+    frames: list[CausalFrame],
     path: Path,
     sightings: list[Sighting],
     model: Model,
@@ -102,7 +102,7 @@ def moments_of(
     at = {s.t_ns: s for s in sightings}
     out = []
     last: tuple[int, Array] | None = None
-    for s in seen:
+    for s in frames:
         if (end_ns - s.t_ns) * 1e-9 > WINDOW_BEFORE_S:
             continue
         by: KnownBy = "path"

@@ -20,7 +20,7 @@ from dgeval.geometry import Array, invert
 from dgeval.hindsight.free_path import free_path
 from dgeval.hindsight.moments import WINDOW_AFTER_S, WINDOW_BEFORE_S, Moment, moments_of
 from dgeval.hindsight.smoothing import Path, Sighting
-from dgeval.hindsight.surface import Seen, Surface
+from dgeval.hindsight.surface import CausalFrame, Surface
 from dgeval.perception.pipeline import Perception
 from dgeval.perception.plane import Plane
 from dgeval.perception.registration import register
@@ -68,22 +68,26 @@ class Hindsight:
 
 
 def look_back(
-    trial: Trial, seen: list[Seen], surface: Surface, perception: Perception, config: Config
+    trial: Trial,
+    frames: list[CausalFrame],
+    surface: Surface,
+    perception: Perception,
+    config: Config,
 ) -> Hindsight | None:
     """The second pass over one trial.
 
-    seen: the frames of the causal pass; surface: what it ever accepted of the object. None where it
+    frames: of the causal pass; surface: what it ever accepted of the object. None where it
     had neither a model nor an accepted pose to start from.
     """
     model = surface.model()
-    accepted = [s for s in seen if s.T_camera_model is not None]
+    accepted = [s for s in frames if s.T_camera_model is not None]
     if model is None or not accepted:
         return None
     centroid = model.points.mean(axis=0)
-    sightings = _causal(seen, config.observation.min_points)
-    end_ns = trial.event_ns(CLOSE_EVENT) or seen[-1].t_ns
+    sightings = _causal(frames, config.observation.min_points)
+    end_ns = trial.event_ns(CLOSE_EVENT) or frames[-1].t_ns
     path, _ = free_path(trial.robot, sightings, model, centroid, end_ns)
-    support = _support(seen)
+    support = _support(frames)
 
     tracker = (
         perception.tracker if isinstance(perception.tracker, ModelTracker) else ModelTracker(config)
@@ -93,7 +97,7 @@ def look_back(
     attempt = trial.event_ns(CLOSE_EVENT) is not None or bool(trial.scan.poses.get(GRASP_TOPIC))
     wanted = {
         s.index: s
-        for s in seen
+        for s in frames
         if attempt
         and s.t_ns not in known
         and -WINDOW_BEFORE_S <= (s.t_ns - end_ns) * 1e-9 <= WINDOW_AFTER_S
@@ -122,13 +126,13 @@ def look_back(
             insort(sightings, sighting, key=lambda s: s.t_ns)
             here = missed.pop() if missed and here.t_ns - missed[-1].t_ns < BACKWARD_NS else None
     return hindsight_from(
-        trial.robot, seen, sightings, model, support, trial.event_ns(CLOSE_EVENT), attempt
+        trial.robot, frames, sightings, model, support, trial.event_ns(CLOSE_EVENT), attempt
     )
 
 
 def hindsight_from(
     robot: RobotStates,
-    seen: list[Seen],
+    frames: list[CausalFrame],
     sightings: list[Sighting],
     model: Model,
     support: Plane | None,
@@ -137,12 +141,14 @@ def hindsight_from(
 ) -> Hindsight:
     """Path, moments, contact and gap from all sightings, in time order.
 
-    seen: the frames, of which index and time count. support: base frame. attempt: whether there was
+    frames: of the trial; index and time count. support: base frame. attempt: whether there was
     a close or a grasp in the log; without one there are no moments.
     """
-    end_ns = close_ns or seen[-1].t_ns
+    end_ns = close_ns or frames[-1].t_ns
     path, pushed_ns = free_path(robot, sightings, model, model.points.mean(axis=0), end_ns)
-    moments = moments_of(robot, seen, path, sightings, model, pushed_ns, end_ns) if attempt else ()
+    moments = (
+        moments_of(robot, frames, path, sightings, model, pushed_ns, end_ns) if attempt else ()
+    )
     contact = next(
         (
             m
@@ -170,22 +176,22 @@ def hindsight_from(
     )
 
 
-def _causal(seen: list[Seen], min_points: int) -> list[Sighting]:
+def _causal(frames: list[CausalFrame], min_points: int) -> list[Sighting]:
     """Sightings of the causal pass: by registration, else by depth, else by colour."""
     out = []
-    for s in seen:
+    for s in frames:
         if s.T_camera_model is not None:
-            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_camera_model, "registration", False))
+            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_camera_model, "registration"))
         elif s.T_tracked is not None and s.n_depth >= min_points:
-            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_tracked, "depth", False))
+            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_tracked, "depth"))
         elif s.T_tracked is not None and s.n_features >= MIN_COLOUR:
-            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_tracked, "colour", False))
+            out.append(Sighting(s.t_ns, s.T_base_camera @ s.T_tracked, "colour"))
     return out
 
 
-def _support(seen: list[Seen]) -> Plane | None:
+def _support(frames: list[CausalFrame]) -> Plane | None:
     """The plane the object stands on, base frame: the median over the frames; None if unknown."""
-    planes = [s.support for s in seen if s.support is not None]
+    planes = [s.support for s in frames if s.support is not None]
     if not planes:
         return None
     n = np.median([p.n for p in planes], axis=0)
@@ -222,7 +228,7 @@ def _priors(
 
 def _look(
     frame: Frame,
-    seen: Seen,
+    known: CausalFrame,
     tracker: ModelTracker,
     model: Model,
     priors: list[Array],
@@ -233,7 +239,7 @@ def _look(
 
     By depth it needs a registration that passes the gate, by colour MIN_COLOUR features.
     """
-    T_camera_base = invert(seen.T_base_camera)
+    T_camera_base = invert(known.T_base_camera)
     for prior in priors:
         tracked = tracker.look(frame, model, T_camera_base @ prior)
         if tracked.state != "tracked" or tracked.T_camera_model is None:
@@ -260,10 +266,10 @@ def _look(
             )
             if result.reject_reason is None and result.gate_fitness > registration.c_a_f:
                 return Sighting(
-                    frame.t_ns, seen.T_base_camera @ result.T_camera_model, "registration", True
+                    frame.t_ns, known.T_base_camera @ result.T_camera_model, "registration"
                 )
         if n_features >= MIN_COLOUR:
-            return Sighting(frame.t_ns, seen.T_base_camera @ T, "colour", True)
+            return Sighting(frame.t_ns, known.T_base_camera @ T, "colour")
     return None
 
 

@@ -25,14 +25,12 @@ SIGMA: dict[By, float] = {"registration": 0.002, "depth": 0.004, "colour": 0.004
 class Sighting:
     """Where the object was at a time: T_base_model.
 
-    by: an accepted registration, or the tracker's alignment to depth or to colour. again: from the
-    second pass.
+    by: an accepted registration, or the tracker's alignment to depth or to colour.
     """
 
     t_ns: int
     T_base_model: Array
     by: By
-    again: bool
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Seen:
+class CausalFrame:
     """One frame of the causal pass.
 
     T_camera_model: by an accepted registration, or None. T_tracked: by the tracker where it had the
@@ -69,7 +69,7 @@ class Seen:
     support: Plane | None
 
 
-def seen_of(step: Step) -> Seen | None:
+def causal_frame_of(step: Step) -> CausalFrame | None:
     """What the second pass needs of a causal frame; None where the camera's pose is not known."""
     if step.T_base_camera is None:
         return None
@@ -80,7 +80,7 @@ def seen_of(step: Step) -> Seen | None:
     n_features = 0 if tracked.features is None else len(tracked.features.points)
     T_tracked = tracked.T_camera_model if tracked.state == "tracked" else None
     frame = step.frame
-    return Seen(
+    return CausalFrame(
         frame.index,
         frame.t_ns,
         step.T_base_camera,

@@ -24,8 +24,8 @@ from dgeval.geometry import Array
 from dgeval.networks.checkpoints import load_strictly, read_weights
 from dgeval.networks.point_sets import farthest_points, neighbours_in_ball
 
-# sizes of the three set abstractions and the three feature propagations (docs/papers.md, "Contact-
-# GraspNet")
+# sizes of the three set abstractions and the three feature propagations (docs/papers.md,
+# "Contact-GraspNet")
 CENTRES = (2048, 512, 128)
 RADII = ((0.02, 0.04, 0.08), (0.04, 0.08, 0.16), (0.08, 0.16, 0.32))  # m, of the neighbourhoods
 WIDTHS = (

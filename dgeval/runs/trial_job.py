@@ -21,7 +21,7 @@ from dgeval.determinism import limit_threads
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, DgevalError, describe
 from dgeval.geometry import Array
 from dgeval.hindsight.second_pass import Hindsight, look_back
-from dgeval.hindsight.surface import Seen, Surface, seen_of
+from dgeval.hindsight.surface import CausalFrame, Surface, causal_frame_of
 from dgeval.perception.pipeline import Perception
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
@@ -136,7 +136,7 @@ def _replay_trial(
     last_ns = trial.pairs[-1][0]
     close_ns = trial.event_ns(CLOSE_EVENT)
     perception = Perception(config)
-    observed: list[Seen] = []
+    observed: list[CausalFrame] = []
     surface = Surface()
     # time ns, T_base_camera and image, for the picture of the decisive moment
     recent: deque[tuple[int, Array | None, bytes]] = deque(maxlen=MAX_RECENT)
@@ -163,7 +163,7 @@ def _replay_trial(
                 t_execute_ns = step.frame.t_ns
             model = step.model if step.model is not None else model
             last_ns = step.frame.t_ns
-            if (observation := seen_of(step)) is not None:
+            if (observation := causal_frame_of(step)) is not None:
                 observed.append(observation)
             if step.accepted and step.model is not None:
                 surface.add(step.model)

@@ -278,5 +278,5 @@ def _closest(points: Array, tree: cKDTree, T: Array, kept: float) -> tuple[Array
         step[:3, :3] = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
         step[:3, 3] = b.mean(axis=0) - step[:3, :3] @ a.mean(axis=0)
         T = step @ T
-    distance, _ = tree.query(transform(T, points))
+    distance = np.asarray(tree.query(transform(T, points))[0])
     return T, float(np.mean(distance[distance <= np.quantile(distance, kept)]))

@@ -157,7 +157,7 @@ def test_closing_again_at_the_real_close_ends_as_it_did(campaign: Campaign) -> N
         assert run.finish is not None
         tick = run.ticks[run.close]
         again = Prover(run, world).closes(tick.snapshot, tick.velocity)
-        assert again.success == run.finish.success
+        assert again == run.finish.success
 
 
 # --- plans and faults

@@ -112,8 +112,7 @@ def sighted(
     frame.
     """
     return [
-        Sighting(ns(t), moved(t) @ box_at(t, centre, velocity) @ T_OBJECT_MODEL, by, False)
-        for t in times
+        Sighting(ns(t), moved(t) @ box_at(t, centre, velocity) @ T_OBJECT_MODEL, by) for t in times
     ]
 
 

@@ -336,7 +336,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
         for k, rise in enumerate(rises):
             T = T_rest.copy()
             T[:3, 3] += [0.3, 0.0, rise]
-            sightings.append(Sighting(at(first_s + 0.1 * k), T, by, True))  # type: ignore[arg-type]
+            sightings.append(Sighting(at(first_s + 0.1 * k), T, by))  # type: ignore[arg-type]
 
         def hand_distance(_: object, t_ns: int, points: Array) -> tuple[float, str] | None:
             assert t_ns == sightings[-1].t_ns

@@ -41,8 +41,8 @@ def drawn(free: Array, seen: Array, apart_ns: int = 0, T_base_camera: Array | No
         ),
         points=SQUARE,
         sightings=[
-            Sighting(0, at(0.0, 0.5), "depth", False),
-            Sighting(5 * SECOND - apart_ns, seen, "depth", True),
+            Sighting(0, at(0.0, 0.5), "depth"),
+            Sighting(5 * SECOND - apart_ns, seen, "depth"),
         ],
     )
     image = np.zeros((100, 200, 3), dtype=np.uint8)

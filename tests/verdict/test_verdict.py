@@ -21,7 +21,7 @@ from dgeval.geometry import Array, increment, transform
 from dgeval.hindsight.second_pass import _priors, look_back
 from dgeval.hindsight.smoothing import Path as ObjectPath
 from dgeval.hindsight.smoothing import Sighting, smooth
-from dgeval.hindsight.surface import Seen, Surface
+from dgeval.hindsight.surface import CausalFrame, Surface
 from dgeval.perception.plane import Plane
 from dgeval.perception.types import Model
 from dgeval.recording.messages import StampedPose
@@ -67,7 +67,7 @@ def sightings(velocity: tuple[float, float, float], noise: float, n: int = 40) -
         T = np.eye(4)
         T[:3, :3] = Rotation.from_euler("z", 0.4).as_matrix()
         T[:3, 3] = np.array(velocity) * k / 30 + rng.normal(0, noise, 3)
-        out.append(Sighting(1_000_000_000 + round(k / 30 * 1e9), T, "registration", False))
+        out.append(Sighting(1_000_000_000 + round(k / 30 * 1e9), T, "registration"))
     return out
 
 
@@ -385,7 +385,7 @@ def test_a_pushed_object_is_looked_for_where_it_was_and_will_be_seen() -> None:
     off = [np.eye(4) for _ in range(2)]
     off[0][:3, 3], off[1][:3, 3] = [0.03, 0.19, 0.0], [0.06, 0.21, 0.0]
     sightings = [
-        Sighting(round(t * seconds), T, "registration", False)
+        Sighting(round(t * seconds), T, "registration")
         for t, T in zip((1.9, 2.3), off, strict=True)
     ]
     robot = SimpleNamespace(T_base_palm=lambda _: None)
@@ -409,7 +409,7 @@ def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPat
         return T
 
     seen = [
-        Seen(k, k * step, np.eye(4), true(k) if k < 20 else None, None, 0, 0, None)
+        CausalFrame(k, k * step, np.eye(4), true(k) if k < 20 else None, None, 0, 0, None)
         for k in range(40)
     ]
     frames = [SimpleNamespace(index=k, t_ns=k * step) for k in range(40)]
@@ -427,7 +427,7 @@ def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPat
         )
         # between 20 and 22 nothing can be seen, so that going forward loses it
         return (
-            Sighting(frame.t_ns, there, "registration", True)
+            Sighting(frame.t_ns, there, "registration")
             if known and not 20 <= frame.index <= 22
             else None
         )
@@ -454,7 +454,7 @@ def test_what_is_seen_high_up_but_away_from_the_hand_was_not_lifted(
         for k, z in enumerate(heights):
             T = np.eye(4)
             T[2, 3] = z
-            places.append(Sighting(2 * second + k * second // 30, T, "registration", True))
+            places.append(Sighting(2 * second + k * second // 30, T, "registration"))
         hindsight = SimpleNamespace(
             path=path, support=Plane(np.array([0.0, 0.0, 1.0]), 0.0, 1.0), sightings=places
         )
