@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace as with_fields
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import mujoco
 import pytest
@@ -167,17 +167,12 @@ def test_an_entry_point_names_a_module(
     exec(blocks()[name], module.__dict__)
     assert f"`{group}`" in PAGE.read_text(encoding="utf-8")
 
-    class Entry:
-        name = "installed"
-
-        def load(self) -> ModuleType:
-            return module
-
+    entry = SimpleNamespace(name="installed", value="installed", dist=None, load=lambda: module)
     asked: list[str] = []
 
-    def installed(group: str) -> list[Entry]:
+    def installed(group: str) -> list[SimpleNamespace]:
         asked.append(group)
-        return [Entry()]
+        return [entry]
 
     monkeypatch.setattr(plugins, "entry_points", installed)
     assert key in find()

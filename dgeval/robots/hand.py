@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from dgeval.errors import UsageError
 from dgeval.geometry import Array
 from dgeval.plugins import modules_with
 
@@ -103,10 +104,18 @@ class Hand:
 
 @cache
 def hands() -> tuple[Hand, ...]:
-    """All hands, by name: the files of this folder, and those of installed packages."""
-    modules = modules_with("dgeval.robots", "HAND", ENTRY_POINTS)
-    found: dict[str, Hand] = {module.HAND.name: module.HAND for module in modules}
-    return tuple(found[name] for name in sorted(found))
+    """All hands, by name: the files of this folder, and those of installed packages.
+
+    UsageError where two have the same name.
+    """
+    found: dict[str, tuple[Hand, str]] = {}
+    for module in modules_with("dgeval.robots", "HAND", ENTRY_POINTS):
+        hand: Hand = module.HAND
+        if hand.name in found:
+            where = f"{found[hand.name][1]} and {module.__name__}"
+            raise UsageError(f"two hands are called {hand.name!r}, in {where}")
+        found[hand.name] = hand, module.__name__
+    return tuple(found[name][0] for name in sorted(found))
 
 
 def hand_named(name: str) -> Hand:
@@ -118,10 +127,21 @@ def hand_named(name: str) -> Hand:
 
 
 def hand_for(network: str) -> Hand:
-    """The hand that a grasp network's weights are for: network `ffhnet` or `vfas`."""
-    return next(h for h in hands() if h.grasp_network == network)
+    """The hand that a grasp network's weights are for: network `ffhnet` or `vfas`.
+
+    UsageError where several say so.
+    """
+    named = [h for h in hands() if h.grasp_network == network]
+    if len(named) != 1:
+        names = ", ".join(h.name for h in named) or "none"
+        raise UsageError(f"one hand must have the grasp network {network!r}; it is that of {names}")
+    return named[0]
 
 
 def hand_of(joints: Collection[str]) -> Hand | None:
-    """The hand whose drives are among these joints; None if no hand fits."""
-    return next((h for h in hands() if set(h.drives) <= set(joints)), None)
+    """The hand whose drives are among these joints, of several the one with most drives.
+
+    None if no hand fits.
+    """
+    fitting = [h for h in hands() if set(h.drives) <= set(joints)]
+    return max(fitting, key=lambda h: len(h.drives), default=None)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import ast
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from dgeval import plugins
+from dgeval.errors import UsageError
 from dgeval.robots import hand as interface
 from dgeval.robots.description import load_description
-from dgeval.robots.hand import Hand, hand_named, hand_of, hands
+from dgeval.robots.hand import Hand, hand_for, hand_named, hand_of, hands
 from dgeval.robots.urdf import robot_urdf
 from dgeval.worlds.objects import ten_objects
 from dgeval.worlds.scene import build
@@ -128,13 +131,8 @@ def test_a_third_hand_comes_from_an_entry_point(monkeypatch: pytest.MonkeyPatch)
     module = ModuleType("claw")
     exec(THIRD, module.__dict__)
 
-    class Entry:
-        name = "claw"
-
-        def load(self) -> ModuleType:
-            return module
-
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [Entry()])
+    entry = SimpleNamespace(name="claw", value="claw", dist=None, load=lambda: module)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [entry])
     assert hand_named("claw").drives == ("claw_left", "claw_right")
 
 
@@ -153,3 +151,29 @@ def test_geoms_of_a_hand_meet_objects_alone() -> None:
         for g in hand_geoms:
             assert model.geom_conaffinity[g] == 1
         assert mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "hand_base") > 0
+
+
+@pytest.mark.usefixtures("forget")
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [
+        ({}, "the entry point 'mine' in the group dgeval.hands names my_hand, which has no HAND"),
+        ({"HAND": hands()[0]}, "two hands are called 'dlr_hit_hand', in"),
+        (
+            {"HAND": replace(hands()[0], name="mine")},
+            "one hand must have the grasp network 'ffhnet'; it is that of dlr_hit_hand, mine",
+        ),
+    ],
+)
+def test_a_hand_that_cannot_be_used_is_named(
+    monkeypatch: pytest.MonkeyPatch, attributes: dict[str, Any], message: str
+) -> None:
+    """Catches an installed hand left out in silence, one that replaces dgeval's own, and weights
+    that go to whichever hand comes first.
+    """
+    module = ModuleType("my_hand")
+    module.__dict__.update(attributes)
+    entry = SimpleNamespace(name="mine", value="my_hand", dist=None, load=lambda: module)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [entry])
+    with pytest.raises(UsageError, match=re.escape(message)):
+        hand_for("ffhnet")
