@@ -18,11 +18,13 @@ from dgeval.recording.contract import EventKind
 from dgeval.recording.events import Events, events_within
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames, recorded_grasps
-from dgeval.recording.manifest import TrialSpec
+from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.pairing import Pair, Window, pair_images, stamp_notes, window_of
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles, image_topics
 from dgeval.recording.scan import Scan, scan
+
+__all__ = ["Trial", "find_trials", "open_trial"]  # scripts outside the package find all three here
 
 
 @dataclass(frozen=True)
