@@ -96,6 +96,7 @@ def log_of_run(run: Run, world: World, config: Config) -> TrialLog:
         last_ns=at_ns(run.frames[-1].tick),
         limit_ns=None,
         close_ns=None if run.close is None else at_ns(run.close),
+        close_missing=None,
         label=None,
         ended=True,
         damaged=False,

@@ -71,8 +71,14 @@ class CalibrationConfig(Section):
     T_flange_camera: Pose7 | None = Field(
         None, description="hand-eye calibration, px py pz qx qy qz qw"
     )
+    T_colour_depth: Pose7 | None = Field(
+        None, description="where the depth camera is in the colour camera, px py pz qx qy qz qw"
+    )
     depth_scale: float | None = Field(
-        None, gt=0, description="m per unit of integer depth; default 0.001"
+        None,
+        gt=0,
+        description="m per unit of depth; default: as the file says, else 0.001 of integers, 1 of "
+        "floats",
     )
     intrinsics: tuple[float, float, float, float] | None = Field(
         None, description="fx fy cx cy where none is recorded"

@@ -9,9 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.config import CalibrationConfig
-from dgeval.errors import Place, UsageError
-from dgeval.geometry import Intrinsics
+from dgeval.errors import Place, UnreadableError, UsageError
+from dgeval.geometry import Intrinsics, matrix_from_pose
+from dgeval.recording.alignment import Alignment
+from dgeval.recording.messages import CameraModel
+from dgeval.recording.roles import Roles, aligned
 from dgeval.recording.scan import Scan
+from dgeval.recording.transforms import TransformTree
 
 
 @dataclass(frozen=True)
@@ -19,21 +23,87 @@ class Camera:
     """The colour camera, to which depth is aligned.
 
     depth_scale: m per unit of integer depth, None for the ROS convention. static_mask (H, W):
-    depth is dropped where it is not 0; None without one. notes: what was assumed.
+    depth is dropped where it is not 0; None without one. alignment: of depth that has its own
+    camera; None for depth that is aligned as recorded. notes: what was assumed.
     """
 
     intrinsics: Intrinsics
     depth_scale: float | None
     static_mask: NDArray[np.uint8] | None
     notes: tuple[str, ...] = ()
+    alignment: Alignment | None = None
 
 
 def camera_of(
-    scan: Scan, colour_topic: str, info_topic: str | None, config: CalibrationConfig
+    scan: Scan,
+    colour_topic: str,
+    depth_topic: str,
+    roles: Roles,
+    tree: TransformTree,
+    t_ns: int,
+    config: CalibrationConfig,
 ) -> Camera:
-    """Configured intrinsics, else recorded ones. UsageError without either, or for a bad mask."""
-    intrinsics, notes = _intrinsics(scan, colour_topic, info_topic, config)
-    return Camera(intrinsics, config.depth_scale, _static_mask(config, intrinsics), tuple(notes))
+    """Intrinsics, mask, and how depth gets into the colour image.
+
+    t_ns: of an image, at which the transform between the cameras is looked up. UsageError without
+    intrinsics or for a bad mask; UnreadableError for depth that can't be aligned.
+    """
+    intrinsics, notes = _intrinsics(scan, colour_topic, roles.intrinsics, config)
+    alignment = None
+    if not aligned(scan, colour_topic, depth_topic):
+        alignment = _alignment(
+            scan, colour_topic, depth_topic, roles.depth_intrinsics, intrinsics, tree, t_ns, config
+        )
+        frames = scan.images[depth_topic].frame_id, scan.images[colour_topic].frame_id
+        notes.append(
+            f"depth of {depth_topic} ({frames[0]}) is brought into the colour camera ({frames[1]})"
+        )
+    return Camera(
+        intrinsics, config.depth_scale, _static_mask(config, intrinsics), tuple(notes), alignment
+    )
+
+
+def _alignment(
+    scan: Scan,
+    colour_topic: str,
+    depth_topic: str,
+    info_topic: str | None,
+    colour: Intrinsics,
+    tree: TransformTree,
+    t_ns: int,
+    config: CalibrationConfig,
+) -> Alignment:
+    c, d = scan.images[colour_topic], scan.images[depth_topic]
+    T = None
+    if config.T_colour_depth is not None:
+        T = matrix_from_pose(np.array(config.T_colour_depth))
+    elif c.frame_id and d.frame_id:
+        T = tree.lookup(c.frame_id, d.frame_id, t_ns)
+    model = scan.cameras.get(info_topic or "")
+    missing = []
+    if T is None:
+        missing.append("the transform between them (set calibration.T_colour_depth)")
+    if model is None and (d.width, d.height) != (c.width, c.height):
+        missing.append("the depth camera's camera_info")
+    if missing or T is None:
+        raise UnreadableError(
+            f"depth ({depth_topic}: {d.width}x{d.height}, frame {d.frame_id!r}) is not aligned to "
+            f"colour ({colour_topic}: {c.width}x{c.height}, frame {c.frame_id!r}), and "
+            f"{' and '.join(missing)} is not recorded",
+            Place(str(scan.opened.path)),
+            "record depth aligned to colour (realsense: align_depth.enable:=true)",
+        )
+    if model is None:
+        return Alignment(colour, colour, T)
+    used = _of_picture(model, depth_topic)
+    return Alignment(used, colour, T)
+
+
+def _of_picture(model: CameraModel, topic: str) -> Intrinsics:
+    """P for a rectified picture, by its name, K for another."""
+    if "rect" in topic.lower() and model.rectified is not None:
+        return model.rectified
+    return model.intrinsics
 
 
 def _intrinsics(
@@ -44,18 +114,24 @@ def _intrinsics(
         return Intrinsics(head.width, head.height, *config.intrinsics), []
     model = scan.cameras.get(info_topic or "")
     if model is None:
+        others = ", ".join(
+            f"{n} (frame {m.frame_id!r}, {m.intrinsics.width}x{m.intrinsics.height})"
+            for n, m in sorted(scan.cameras.items())
+        )
+        of = f" of {colour_topic} (frame {head.frame_id!r})" if others else ""
         raise UsageError(
-            "no camera intrinsics recorded",
+            f"no camera intrinsics{of} recorded" + (f"; there are {others}" if others else ""),
             Place(str(scan.opened.path)),
             "give --set 'calibration.intrinsics=[fx, fy, cx, cy]'",
         )
     notes = []
-    if any(abs(d) > 1e-9 for d in model.distortion):
+    used = _of_picture(model, colour_topic)
+    if used is model.intrinsics and any(abs(d) > 1e-9 for d in model.distortion):
         rounded = [round(d, 4) for d in model.distortion]
         notes.append(f"lens distortion {rounded} is recorded and not removed")
     if scan.camera_changes.get(info_topic or ""):
         notes.append("the intrinsics change within the recording; the first are used")
-    return model.intrinsics, notes
+    return used, notes
 
 
 def _static_mask(config: CalibrationConfig, camera: Intrinsics) -> NDArray[np.uint8] | None:

@@ -6,7 +6,7 @@ may have any of them. No other file of the package spells one out.
 
 from __future__ import annotations
 
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 DGEVAL_PREFIX: Final = "/dgeval/"
 """Topics of dgeval's own contract; none of them is a camera or a robot state."""
@@ -68,6 +68,8 @@ TRUTH_VERDICT_TOPIC: Final = "/truth/verdict"
 EventKind = Literal["trial_start", "close", "lift", "trial_end", "label"]
 """What an entry of EVENTS_TOPIC may say. Other kinds are kept and shown, and mean nothing."""
 
+EVENT_KINDS: Final = frozenset(get_args(EventKind))
+
 TRIAL_START_EVENT: Final = "trial_start"
 """A trial begins; a recording with several is cut there. May carry NOTES_KEY."""
 
@@ -93,4 +95,15 @@ NOTES_KEY: Final = "notes"
 """Key of a list of sentences about how the recording was made."""
 
 LABEL_KEY: Final = "label"
-"""Key of an operator's label, `success` or `failure`."""
+"""Key of an operator's label, one of SUCCESS_LABELS or FAILURE_LABELS in any case."""
+
+SUCCESS_LABELS: Final = ("success", "succeeded", "successful", "pass", "passed", "ok")
+FAILURE_LABELS: Final = ("failure", "fail", "failed", "unsuccessful")
+
+
+def label_of(text: object) -> Literal["success", "failure"] | None:
+    """What an operator's label says; None for a word that is neither."""
+    word = str(text).strip().lower()
+    if word in SUCCESS_LABELS:
+        return "success"
+    return "failure" if word in FAILURE_LABELS else None

@@ -103,6 +103,8 @@ class FrameReader:
             decoded = self.opened.decode(colour_raw)
             colour = colour_from(decode_image(decoded))
             depth = depth_from(decode_image(self.opened.decode(depth_raw)), self.camera.depth_scale)
+            if self.camera.alignment is not None:
+                depth = self.camera.alignment.apply(depth)
         except (UndecodableError, ValueError) as error:
             self._lose(t_ns, str(error))
             return None

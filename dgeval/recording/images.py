@@ -44,8 +44,10 @@ def colour_from(pixels: Pixels) -> NDArray[np.uint8]:
 def depth_from(pixels: Pixels, scale: float | None) -> NDArray[np.float32]:
     """(H, W) float32 m, 0 where there is no reading (0, NaN, infinite, negative, 65535).
 
-    scale: m per unit; None is the ROS convention, millimetres in integers and metres in floats.
+    scale: m per unit; None is what the file states, else the ROS convention: millimetres in
+    integers, metres in floats.
     """
+    scale = pixels.unit if scale is None else scale
     if pixels.encoding not in DEPTH_ENCODINGS:
         raise ValueError(f"{pixels.encoding} is not a depth image")
     if pixels.array.dtype == np.uint16:

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, field_validator
 
 from dgeval.config import read_toml, validated
 from dgeval.errors import Place, UndecodableError, UnreadableError, UsageError
 from dgeval.recording.containers.opening import open_container
-from dgeval.recording.contract import EVENTS_TOPIC, TRIAL_END_EVENT, TRIAL_START_EVENT
+from dgeval.recording.contract import (
+    EVENTS_TOPIC,
+    FAILURE_LABELS,
+    SUCCESS_LABELS,
+    TRIAL_END_EVENT,
+    TRIAL_START_EVENT,
+    label_of,
+)
 
 SUFFIXES = (".mcap", ".bag", ".db3")
 
@@ -30,6 +37,20 @@ class _ManifestTrial(BaseModel):
     scenario: str | None = None
     speed: float | None = None
     label: str | None = None
+    cause: Literal["imprecise_pose", "collision", "timing"] | None = None
+    close_ns: int | None = None
+    lift_ns: int | None = None
+
+    @field_validator("label")
+    @classmethod
+    def _known(cls, value: str | None) -> str | None:
+        if value is None:
+            return None
+        label = label_of(value)
+        if label is None:
+            words = ", ".join((*SUCCESS_LABELS, *FAILURE_LABELS))
+            raise ValueError(f"a label is one of {words}, not {value!r}")
+        return label
 
 
 class _Manifest(BaseModel):
@@ -45,7 +66,9 @@ class TrialSpec:
     """One trial to replay: an entry of a manifest, or a recording's own trial. Times ns, box px.
 
     frames: [first, last) of the paired frames. bbox: x0, y0, x1, y1 of the target, from
-    bbox_time_ns on. label: an operator's. sha256: of the recording, as the manifest says.
+    bbox_time_ns on. label: an operator's, success or failure. cause: an operator's word for why.
+    close_ns, lift_ns: of the commands, where a person knows better than the log. sha256: of the
+    recording, as the manifest says.
     """
 
     id: str
@@ -60,6 +83,9 @@ class TrialSpec:
     speed: float | None = None
     label: str | None = None
     sha256: str | None = None
+    cause: str | None = None
+    close_ns: int | None = None
+    lift_ns: int | None = None
 
 
 def find_trials(paths: list[Path], events_topic: str | None = None) -> list[TrialSpec]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import struct
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,10 +10,18 @@ from typing import Any
 import numpy as np
 
 from dgeval.geometry import Array, Intrinsics
-from dgeval.recording.contract import EVENT_KEY, TIME_KEY
+from dgeval.recording.contract import (
+    EVENT_KEY,
+    EVENT_KINDS,
+    LABEL_EVENT,
+    LABEL_KEY,
+    TIME_KEY,
+    label_of,
+)
 
 IMAGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"})
-TF_TYPE = "tf2_msgs/msg/TFMessage"
+# the second is the older name of the same fields
+TF_TYPES = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 POSE_TYPES = frozenset(
     {
         "geometry_msgs/msg/PoseStamped",
@@ -99,11 +106,18 @@ def poses_of(message: Any) -> list[StampedPose]:
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """Intrinsics with the frame they belong to and the distortion that dgeval does not remove."""
+    """Intrinsics with the frame they belong to and the distortion that dgeval does not remove.
+
+    intrinsics: of the picture as published, binned and cropped; size px. rectified: of the
+    rectified picture (P), which has no distortion; None where P is not given. full_size: of the
+    sensor's picture, px.
+    """
 
     intrinsics: Intrinsics
     frame_id: str
     distortion: tuple[float, ...]
+    rectified: Intrinsics | None = None
+    full_size: tuple[int, int] = (0, 0)
 
 
 def camera_model(message: Any) -> CameraModel:
@@ -112,14 +126,47 @@ def camera_model(message: Any) -> CameraModel:
         3, 3
     )
     d = np.asarray(message.d if hasattr(message, "d") else message.D, dtype=np.float64).ravel()
-    fx, fy, cx, cy = float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
-    if not (math.isfinite(fx + fy + cx + cy) and fx > 0 and fy > 0):
+    fx, fy = float(k[0, 0]), float(k[1, 1])
+    if not k.any():
+        raise ValueError("the camera matrix is all zero: the camera is not calibrated")
+    if not (np.isfinite(k).all() and fx > 0 and fy > 0):
         raise ValueError(f"camera matrix {k.tolist()} is not a camera's")
-    frame = message.header.frame_id.lstrip("/")
+    p = np.asarray(getattr(message, "p", getattr(message, "P", ())), dtype=np.float64).ravel()
+    rectified = None
+    if len(p) == 12 and np.isfinite(p).all() and p[0] > 0 and p[5] > 0:
+        rectified = _published(message, p.reshape(3, 4)[:, :3])
     return CameraModel(
-        Intrinsics(int(message.width), int(message.height), fx, fy, cx, cy),
-        frame,
+        _published(message, k),
+        message.header.frame_id.lstrip("/"),
         tuple(d.tolist()),
+        rectified,
+        (int(message.width), int(message.height)),
+    )
+
+
+def _published(message: Any, matrix: Array) -> Intrinsics:
+    """Intrinsics of the picture that is published: the region of interest, then binned.
+
+    The matrix (3, 3) is of the full picture, as sensor_msgs/CameraInfo says. A binned pixel covers
+    several, and its middle is theirs.
+    """
+    width, height = int(message.width), int(message.height)
+    x0 = y0 = 0
+    roi = getattr(message, "roi", None)
+    if roi is not None and roi.width and roi.height:
+        x0, y0, width, height = (
+            int(v) for v in (roi.x_offset, roi.y_offset, roi.width, roi.height)
+        )
+    bx = max(1, int(getattr(message, "binning_x", 0)))
+    by = max(1, int(getattr(message, "binning_y", 0)))
+    fx, fy, cx, cy = (float(matrix[a]) for a in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Intrinsics(
+        width // bx,
+        height // by,
+        fx / bx,
+        fy / by,
+        (cx - x0 + 0.5) / bx - 0.5,
+        (cy - y0 + 0.5) / by - 0.5,
     )
 
 
@@ -184,10 +231,15 @@ class Event:
 
 
 def event_of(text: str, log_ns: int) -> Event:
-    """From JSON {"event": kind, …}; its own "t_ns" goes before the log time.
+    """From JSON {"event": kind, …}, or the kind alone; its own "t_ns" goes before the log time.
 
-    ValueError for anything else.
+    A success or failure label alone is a label. ValueError for anything else.
     """
+    word = text.strip().strip('"').lower()
+    if word in EVENT_KINDS:
+        return Event(log_ns, word, {})
+    if label_of(word) is not None:
+        return Event(log_ns, LABEL_EVENT, {LABEL_KEY: word})
     try:
         value = json.loads(text)
     except RecursionError as error:

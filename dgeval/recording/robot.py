@@ -17,7 +17,7 @@ from dgeval.errors import Place, UsageError
 from dgeval.geometry import Array, matrix_from_pose
 from dgeval.recording.contract import ROBOT_DESCRIPTION
 from dgeval.recording.messages import JointSample
-from dgeval.recording.roles import Roles
+from dgeval.recording.roles import Roles, merged_joints
 from dgeval.recording.scan import Scan
 from dgeval.recording.transforms import TransformTree
 from dgeval.robots.description import Description, Joint, LinkShape, load_description
@@ -25,6 +25,17 @@ from dgeval.robots.hand import Hand, hand_of
 
 # names of the robot's base in common descriptions, in order of preference
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
+# words in the name of the frame that stands for the palm, in order of preference
+PALM_WORDS = (
+    ("palm",),
+    ("hand_base", "gripper_base", "base_gripper", "robotiq_arg2f_base", "robotiq_base"),
+    ("_hand", "hand_link"),
+    ("gripper_link", "gripper"),
+    ("tcp",),
+    ("tool0", "ee_link", "end_effector", "flange"),
+)
+# parts of the name of a frame that is no palm though it has such a word
+NO_PALM = ("camera", "optical", "finger", "thumb", "knuckle", "pad", "handle", "hand_pose")
 
 
 @dataclass
@@ -120,16 +131,26 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     tree = TransformTree(max_gap_ns)
     notes: list[str] = []
     offset = config.clock.camera_pose.offset_ns
+    # as in tf2, the first transform heard of a frame decides whether the frame is static
     for edge in scan.tf_static:
-        tree.add_static(edge.parent, edge.child, matrix_from_pose(edge.pose))
+        if scan.heard_static.get(edge.child, True):
+            tree.add_static(edge.parent, edge.child, matrix_from_pose(edge.pose))
     for edge in scan.tf:
-        tree.add_moving(edge.t_ns + offset, edge.parent, edge.child, edge.pose)
+        if not scan.heard_static.get(edge.child, False):
+            tree.add_moving(edge.t_ns + offset, edge.parent, edge.child, edge.pose)
+    both = sorted({e.child for e in scan.tf} & {e.child for e in scan.tf_static})
+    for child in both:
+        kind = "static" if scan.heard_static[child] else "moving"
+        notes.append(
+            f"the frame {child!r} is on /tf and on /tf_static; it was heard {kind} first, and tf2 "
+            "keeps it so"
+        )
     head = scan.images.get(roles.colour) if roles.colour else None
     camera = config.frames.camera or (head.frame_id if head else "") or "camera"
 
-    joints = JointTrack.of(
-        scan.joints.get(roles.hand_joints or "", []), config.clock.hand_joints.offset_ns
-    )
+    joints = JointTrack.of(merged_joints(scan, roles), config.clock.hand_joints.offset_ns)
+    if len(roles.joints) > 1:
+        notes.append(f"joint states are merged from {', '.join(roles.joints)}")
     description = _description(scan, config)
     if description is not None:
         notes.extend(description.notes)
@@ -148,15 +169,23 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     if tree.parent(camera) is None and roles.camera_pose:
         for pose in scan.poses[roles.camera_pose]:
             tree.add_moving(pose.t_ns + offset, pose.parent or "base", camera, pose.pose)
-    palm = _palm(scan, roles, config, tree)
+    palm = _palm(scan, roles, config, tree, camera, notes)
     base = config.frames.base
     if base is None and tree.parent(camera) is not None:
         chain = tree.ancestors(camera)
-        base = next((name for name in BASE_NAMES if name in chain), chain[-1])
+        base = next((name for name in BASE_NAMES if name in chain), None)
+        if base is None and (tree.moving or tree.computed):
+            base = chain[-1]
+        elif base is None:
+            notes.append(
+                f"only static frames from {chain[-1]!r} to the camera are recorded, and no robot: "
+                "no camera pose; record /tf, or set frames.base if that frame stands still"
+            )
     if base is not None and base not in tree.ancestors(camera):
         raise UsageError(f"frames.base = {base!r} is not above the camera frame {camera!r} in tf")
     if base is None:
         notes.append("no camera pose recorded: the base frame is the camera frame")
+        palm = palm if config.frames.palm is not None else None
     if tree.reparented:
         notes.append(f"{tree.reparented} transforms gave a frame a second parent and were not used")
     links: list[str] = []
@@ -199,7 +228,14 @@ def _add_joints(
         tree.computed[child] = (joint.parent, edge)
 
 
-def _palm(scan: Scan, roles: Roles, config: Config, tree: TransformTree) -> str | None:
+def _palm(
+    scan: Scan,
+    roles: Roles,
+    config: Config,
+    tree: TransformTree,
+    camera: str,
+    notes: list[str],
+) -> str | None:
     frames = tree.frames()
     if config.frames.palm is not None:
         if config.frames.palm not in frames:
@@ -207,9 +243,11 @@ def _palm(scan: Scan, roles: Roles, config: Config, tree: TransformTree) -> str 
                 f"frames.palm = {config.frames.palm!r} is in neither tf nor the robot description"
             )
         return config.frames.palm
-    named = sorted(f for f in frames if "palm" in f.lower())
-    if named:
-        return named[0]
+    usable = [f for f in frames if not any(part in f.lower() for part in NO_PALM)]
+    for words in PALM_WORDS:
+        named = sorted(f for f in usable if any(w in f.lower() for w in words))
+        if named:
+            return _nearest_to_camera(named, tree, camera, notes)
     if roles.hand_pose:
         offset = config.clock.hand_pose.offset_ns
         for pose in scan.poses[roles.hand_pose]:
@@ -218,6 +256,33 @@ def _palm(scan: Scan, roles: Roles, config: Config, tree: TransformTree) -> str 
             )
         return "palm (hand_pose)"
     return None
+
+
+def _nearest_to_camera(named: list[str], tree: TransformTree, camera: str, notes: list[str]) -> str:
+    """Of several frames that may be the palm, the one nearest to the camera in the tree.
+
+    The camera hangs on one arm; a hand on another arm meets it at the base only. Between equals the
+    first by name, said in the notes.
+    """
+    above = tree.ancestors(camera)
+
+    def steps(frame: str) -> int:
+        """Edges from the frame up to where the camera's chain begins, and down to the camera."""
+        chain = tree.ancestors(frame)
+        common = next((f for f in chain if f in above), None)
+        return 1000 if common is None else chain.index(common) + above.index(common)
+
+    best = min(named, key=lambda f: (steps(f), f))
+    others = [f for f in named if f != best]
+    if others:
+        equal = [f for f in others if steps(f) == steps(best)]
+        why = "the first by name" if equal else "nearest to the camera"
+        notes.append(
+            f"palm frame: {best!r}, {why}; {', '.join(others)} could be it too (frames.palm)"
+        )
+    elif "palm" not in best.lower():
+        notes.append(f"palm frame: {best!r}, by its name (frames.palm)")
+    return best
 
 
 def _hand_root(description: Description, palm: str) -> str:

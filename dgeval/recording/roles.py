@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from os.path import commonpath
 
 from dgeval.config import RolesConfig
 from dgeval.errors import Place, UnreadableError, UsageError
+from dgeval.recording.cameras import choose_camera, intrinsics_of, is_aligned
 from dgeval.recording.contract import DGEVAL_PREFIX, TRUTH_PREFIX
-from dgeval.recording.images import DEPTH_ENCODINGS
+from dgeval.recording.messages import JointSample
 from dgeval.recording.scan import Scan
 
-COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "mono8", "8UC1"})
 # parts of a topic's name that rule it out as the camera or a state of the robot
 NOT_A_CAMERA = (DGEVAL_PREFIX, TRUTH_PREFIX, "mask", "debug", "annotated", "detection")
 
 
 @dataclass(frozen=True)
 class Roles:
-    """The topic of each role, or None. passed_over: by role, topics that could have it as well."""
+    """The topic of each role, or None.
+
+    joints: every topic of joint states that counts, the first with a joint's name gives its values.
+    depth_intrinsics: of a depth camera whose images are not aligned to colour.
+    passed_over: by role, topics that could have it as well.
+    """
 
     colour: str | None
     depth: str | None
@@ -27,6 +31,8 @@ class Roles:
     camera_pose: str | None
     hand_pose: str | None
     passed_over: dict[str, list[str]] = field(default_factory=dict)
+    joints: tuple[str, ...] = ()
+    depth_intrinsics: str | None = None
 
 
 def find_roles(scan: Scan, config: RolesConfig) -> Roles:
@@ -53,77 +59,107 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
         return bool(scan.times[name].log_ns) and not any(part in name for part in NOT_A_CAMERA)
 
     heads = {name: head for name, head in scan.images.items() if used(name)}
-    colour = config.colour or choose(
-        "colour",
-        sorted(
-            (
-                n
-                for n, h in heads.items()
-                if h.encoding in COLOUR_ENCODINGS and "depth" not in n.lower()
-            ),
-            key=lambda n: (
-                not _has(n, "color", "colour", "rgb"),
-                _has(n, "infra", "left", "right"),
-                -_count(scan, n),
-                n,
-            ),
-        ),
-    )
-    depth = config.depth or choose(
-        "depth",
-        sorted(
-            (n for n, h in heads.items() if h.encoding in DEPTH_ENCODINGS),
-            key=lambda n: (
-                not _has(n, "aligned", "registered"),
-                not _has(n, "depth"),
-                -_count(scan, n),
-                n,
-            ),
-        ),
-    )
+    heads |= {n: scan.images[n] for n in (config.colour, config.depth) if n in scan.images}
+    colour, depth, passed_images = choose_camera(scan, heads, config)
+    passed |= passed_images
     intrinsics = config.intrinsics
     if intrinsics is None and colour is not None:
-        near = sorted(scan.cameras, key=lambda n: (-len(commonpath([n, colour])), n))
-        intrinsics = near[0] if near else None
-    joints = config.hand_joints or choose(
-        "hand_joints",
-        sorted(
-            (n for n in scan.joints if used(n)),
-            key=lambda n: (not _has(n, "joint_states"), -_count(scan, n), n),
-        ),
+        intrinsics = intrinsics_of(scan, heads, colour)
+    depth_intrinsics = None
+    if depth is not None and colour is not None and not aligned(scan, colour, depth):
+        depth_intrinsics = intrinsics_of(scan, heads, depth)
+    joints = sorted(
+        (n for n in scan.joints if used(n)),
+        key=lambda n: (n.count("/"), not _has(n, "joint_states"), -_count(scan, n), n),
     )
+    if config.hand_joints is not None:
+        joints = [config.hand_joints]
     poses = [n for n in sorted(scan.poses) if used(n)]
+    colour_frame = scan.images[colour].frame_id if colour in scan.images else ""
     return Roles(
         colour,
         depth,
         intrinsics,
-        joints,
+        joints[0] if joints else None,
         config.camera_pose
-        or choose("camera_pose", [n for n in poses if _has(n, "camera", "cam_pose", "odom")]),
+        or choose("camera_pose", [n for n in poses if _of_camera(scan, n, colour_frame)]),
         config.hand_pose
         or choose(
             "hand_pose", [n for n in poses if _has(n, "palm", "hand", "gripper", "tcp", "ee_pose")]
         ),
         passed,
+        tuple(joints),
+        depth_intrinsics,
     )
 
 
+def aligned(scan: Scan, colour: str, depth: str) -> bool:
+    """Whether a depth topic has the pixels of a colour topic; also where one can't be read."""
+    if colour not in scan.images or depth not in scan.images:
+        return True
+    return is_aligned(scan.images[colour], scan.images[depth])
+
+
+def _of_camera(scan: Scan, name: str, colour_frame: str) -> bool:
+    """Whether a pose topic is the camera's: by the frame it moves, else by the topic's name.
+
+    Odometry of a mobile base names the base as its child.
+    """
+    child = scan.poses[name][0].child if scan.poses[name] else ""
+    if child:
+        return child == colour_frame or _has(child, "camera", "optical")
+    return _has(name, "camera", "cam_pose")
+
+
+def merged_joints(scan: Scan, roles: Roles) -> list[JointSample]:
+    """The samples of all topics of joint states, in time order.
+
+    A joint that several topics give counts from the first of them.
+    """
+    owner: dict[str, str] = {}
+    for topic in roles.joints:
+        for sample in scan.joints.get(topic, []):
+            for name in sample.positions.keys() | sample.efforts.keys():
+                owner.setdefault(name, topic)
+    if len(set(owner.values())) <= 1 and len(roles.joints) <= 1:
+        return list(scan.joints.get(roles.hand_joints or "", []))
+    out = []
+    for topic in roles.joints:
+        for s in scan.joints.get(topic, []):
+            positions = {n: v for n, v in s.positions.items() if owner[n] == topic}
+            efforts = {n: v for n, v in s.efforts.items() if owner[n] == topic}
+            if positions or efforts:
+                out.append(JointSample(s.t_ns, positions, efforts))
+    return sorted(out, key=lambda s: s.t_ns)
+
+
 def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
-    """The topics of colour and depth. UnreadableError without one; it lists what is there."""
+    """The topics of colour and depth.
+
+    UnreadableError without one: it lists what is there, and why it can't be read.
+    """
+    place = Place(str(scan.opened.path))
+    for role in ("colour", "depth"):
+        topic = getattr(roles, role)
+        if topic is not None and topic not in scan.images:
+            known = scan.opened.topics[topic]
+            why = scan.first_undecodable.get(topic) or known.unread or f"it is a {known.type}"
+            raise UnreadableError(f"roles.{role}: {topic} holds no readable images ({why})", place)
     if roles.colour is not None and roles.depth is not None:
         return roles.colour, roles.depth
     missing = " and ".join(
         role for role, topic in (("colour", roles.colour), ("depth", roles.depth)) if topic is None
     )
     topics = sorted(scan.opened.topics.values(), key=lambda t: t.name)
-    listed = ", ".join(f"{t.name} ({t.type})" for t in topics) or "nothing"
+    listed = ", ".join(f"{t.name} ({t.stored_type or t.type})" for t in topics) or "nothing"
     damage = scan.opened.damage
     lost = f" after damage ({damage[0].what})" if damage else ""
-    raise UnreadableError(
-        f"no {missing} images found{lost} among: {listed}",
-        Place(str(scan.opened.path)),
-        "name it with --set roles.colour=… or roles.depth=…",
-    )
+    unread = [f"{t.name}: {t.unread}" for t in topics if t.unread]
+    unread += [f"{n}: {h.format} images" for n, h in scan.images.items() if h.encoding == "?"]
+    told = f"; not understood: {'; '.join(unread)}" if unread else ""
+    usable = [n for n, h in scan.images.items() if h.encoding != "?"]
+    hint = "name it with --set roles.colour=… or roles.depth=…" if len(usable) > 1 else None
+    raise UnreadableError(f"no {missing} images found{lost} among: {listed}{told}", place, hint)
 
 
 def _has(name: str, *parts: str) -> bool:

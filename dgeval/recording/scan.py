@@ -21,7 +21,7 @@ from dgeval.recording.images import decode_image
 from dgeval.recording.messages import (
     IMAGE_TYPES,
     POSE_TYPES,
-    TF_TYPE,
+    TF_TYPES,
     CameraModel,
     Event,
     JointSample,
@@ -66,7 +66,10 @@ class ImageHead:
 
 @dataclass
 class Scan:
-    """What one pass keeps of a recording, most of it by topic."""
+    """What one pass keeps of a recording, most of it by topic.
+
+    heard_static: by frame, whether the first transform heard of it was a static one.
+    """
 
     opened: Opened
     times: dict[str, TopicTimes] = field(default_factory=lambda: defaultdict(TopicTimes))
@@ -75,6 +78,7 @@ class Scan:
     camera_changes: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     tf: list[StampedPose] = field(default_factory=list)
     tf_static: list[StampedPose] = field(default_factory=list)
+    heard_static: dict[str, bool] = field(default_factory=dict)
     poses: dict[str, list[StampedPose]] = field(default_factory=lambda: defaultdict(list))
     twists: dict[str, list[tuple[int, Array]]] = field(default_factory=lambda: defaultdict(list))
     joints: dict[str, list[JointSample]] = field(default_factory=lambda: defaultdict(list))
@@ -101,9 +105,12 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 # a broken first image does not hide the topic
                 if known is None or known.encoding == "?":
                     out.images[message.topic] = _head(message, opened)
-            elif topic.type == TF_TYPE:
+            elif topic.type in TF_TYPES:
                 latched = message.topic.endswith("static")
-                (out.tf_static if latched else out.tf).extend(poses_of(opened.decode(message)))
+                edges = poses_of(opened.decode(message))
+                for edge in edges:
+                    out.heard_static.setdefault(edge.child, latched)
+                (out.tf_static if latched else out.tf).extend(edges)
             elif topic.type in POSE_TYPES:
                 pose = poses_of(opened.decode(message))[0]
                 times.header_ns.append(pose.t_ns)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from dgeval.geometry import Array, interpolate_pose, invert, matrix_from_pose
 
 EXACT_NS = 1_000  # ns; a sample this near in time is used as it is
+# m and quaternion parts; two poses that differ by less are one mount, published now and then
+SAME = np.array([1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])
 
 
 @dataclass
@@ -37,7 +39,7 @@ class Track:
     def sample(self, t_ns: int, max_gap_ns: int) -> Array | None:
         """(7,) pose at a time: a sample within EXACT_NS, else interpolated over at most max_gap_ns.
 
-        None outside the samples or in a longer gap.
+        None outside the samples, or in a longer gap over which the pose changes.
         """
         at = bisect_left(self.times, t_ns)
         for i in (at - 1, at):
@@ -46,7 +48,8 @@ class Track:
         if at == 0 or at == len(self.times):
             return None
         before, after = self.times[at - 1], self.times[at]
-        if after - before > max_gap_ns:
+        apart = np.abs(self.poses[at] - self.poses[at - 1])
+        if after - before > max_gap_ns and (apart > SAME).any():
             return None
         return interpolate_pose(
             self.poses[at - 1], self.poses[at], (t_ns - before) / (after - before)

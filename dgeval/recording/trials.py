@@ -12,6 +12,7 @@ from dgeval.config import Config
 from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics
 from dgeval.recording.camera import camera_of
+from dgeval.recording.closes import CloseKnown, close_of
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import EventKind
@@ -45,6 +46,7 @@ class Trial:
     robot: RobotStates
     window: Window
     events: Events
+    close: CloseKnown
     reader: FrameReader
     notes: tuple[str, ...]
 
@@ -108,11 +110,21 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     roles = find_roles(scanned, config.roles)
     colour, depth = image_topics(scanned, roles)
     robot = robot_states(scanned, roles, config)
-    camera = camera_of(scanned, colour, roles.intrinsics, config.calibration)
-    _check_box(spec.bbox, camera.intrinsics, place)
     window = window_of(pair_images(scanned, colour, depth, config), spec, opened.damage)
-    events = events_within(scanned.events, window.start_ns, window.end_ns, spec.end_ns)
-    notes = [*robot.notes, *camera.notes, *events.notes(), *stamp_notes(window.stamp_faults)]
+    camera = camera_of(
+        scanned, colour, depth, roles, robot.tree, window.pairs[0].t_ns, config.calibration
+    )
+    _check_box(spec.bbox, camera.intrinsics, place)
+    marked = events_within(scanned.events, window.start_ns, window.end_ns, spec.end_ns)
+    close = close_of(marked, robot, window.start_ns, window.end_ns, spec.close_ns, spec.lift_ns)
+    events = close.events
+    notes = [
+        *opened.notes,
+        *robot.notes,
+        *camera.notes,
+        *events.notes(),
+        *stamp_notes(window.stamp_faults),
+    ]
     grasps, lost = recorded_grasps(scanned), LostFrames(opened.damage)
     return Trial(
         replace(spec, start_ns=window.start_ns, end_ns=window.end_ns),
@@ -124,6 +136,7 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
         robot,
         window,
         events,
+        close,
         FrameReader(opened, colour, depth, window.pairs, camera, robot, grasps, lost),
         tuple(notes),
     )

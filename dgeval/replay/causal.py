@@ -108,7 +108,7 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
     perception = perception or Perception(config)
     servo = Servo(config.servo, trial.robot.hand or hand_named(DEFAULT_HAND))
     delayed: Delayed[Any] = Delayed(config.schedule.perception_latency_s)
-    planner = _planner(seed_of(trial), config)
+    planner = _planner(trial, config)
     source = grasp_source(trial.robot, bool(trial.scan.poses.get(GRASP_TOPIC)), config.grasps)
     grasps = _grasps(source, trial.robot, config) if planner is None else None
     palm_at_close = _palm_at(trial.robot, trial.event_ns(CLOSE_EVENT))
@@ -193,12 +193,12 @@ def seed_of(trial: Trial) -> Array | None:
     return recorded_seed(trial.scan.poses.get(SEED_TOPIC, []), trial.pairs[0].t_ns, end_ns)
 
 
-def _planner(seed: Array | None, config: Config) -> VfasGrasps | None:
+def _planner(trial: Trial, config: Config) -> VfasGrasps | None:
     if config.pipeline != "vfas":
         return None
     from dgeval.planning.vfas.replayed import VfasGrasps  # imports torch
 
-    return VfasGrasps(config, seed)
+    return VfasGrasps(config, seed_of(trial))
 
 
 def _control(

@@ -62,10 +62,10 @@ def judge(
     row = VerdictRow(ended.outcome, ended.source, ended.evidence)
     notes: list[str] = []
     if hindsight is not None:
-        speed = float((hindsight.path.velocity[-1] ** 2).sum() ** 0.5)
-        row = replace(
-            row, gap_s=hindsight.gap_s, gap_sided=hindsight.gap_sided, speed_measured=speed
-        )
+        row = replace(row, gap_s=hindsight.gap_s, gap_sided=hindsight.gap_sided)
+        if log.robot.base_frame is not None:  # else it is the speed relative to the camera
+            speed = float((hindsight.path.velocity[-1] ** 2).sum() ** 0.5)
+            row = replace(row, speed_measured=speed)
         notes += hindsight.notes
     if ended.outcome != "failure":
         return Judgement(row, close_ns, None, tuple(notes))
@@ -96,6 +96,8 @@ def judge(
 def _decision(
     log: TrialLog, hindsight: Hindsight | None, config: VerdictConfig, seed: int
 ) -> tuple[Scene, Decision] | Unknown:
+    if log.close_ns is None and log.close_missing is not None:
+        return Unknown(log.close_missing)
     if hindsight is None:
         return Unknown("the object was never tracked")
     scene = scene_of(log, hindsight)

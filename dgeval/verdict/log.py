@@ -21,9 +21,11 @@ from dgeval.recording.contract import (
     TARGET_TOPIC,
     TRIAL_END_EVENT,
     VELOCITY_TOPIC,
+    label_of,
 )
 from dgeval.recording.messages import JointSample, StampedPose, cloud_points
 from dgeval.recording.robot import RobotStates
+from dgeval.recording.roles import merged_joints
 from dgeval.recording.trials import Trial
 
 MIN_MODEL_POINTS = 20  # fewer points of the robot's own model say nothing of where the object is
@@ -52,7 +54,9 @@ class TrialLog:
     """One trial as a verdict sees it.
 
     first_ns, last_ns: first and last pair of images. limit_ns: where a manifest ends the trial.
-    close_ns: the close command. label: an operator's. ended: the robot wrote that the trial ended.
+    close_ns: the close command. close_missing: why no close is known, where that does not mean that
+    there was none. label: an operator's, success or failure. ended: the robot wrote that the trial
+    ended.
     damaged: not all of the recording can be read. hand_samples: joint states that hold the
     fingers, in their own clock. max_gap_ns: longest gap in joint states that is interpolated.
     servo_gain: 1/s, of the robot's position servo, as configured.
@@ -62,6 +66,7 @@ class TrialLog:
     last_ns: int
     limit_ns: int | None
     close_ns: int | None
+    close_missing: str | None
     label: str | None
     ended: bool
     damaged: bool
@@ -82,7 +87,12 @@ def log_of(trial: Trial) -> TrialLog:
     finds damage.
     """
     label = trial.spec.label or next(
-        (str(e.fields.get(LABEL_KEY)) for e in trial.events if e.kind == LABEL_EVENT), None
+        (
+            known
+            for e in trial.events
+            if e.kind == LABEL_EVENT and (known := label_of(e.fields.get(LABEL_KEY))) is not None
+        ),
+        None,
     )
     scan = trial.scan
     stamps = np.zeros(0, dtype=np.int64)
@@ -93,11 +103,12 @@ def log_of(trial: Trial) -> TrialLog:
         trial.pairs[-1].t_ns,
         trial.spec.end_ns,
         trial.event_ns(CLOSE_EVENT),
+        trial.close.missing,
         label,
         trial.event_ns(TRIAL_END_EVENT) is not None,
         bool(trial.damage),
         trial.robot,
-        tuple(scan.joints.get(trial.roles.hand_joints or "", [])),
+        tuple(merged_joints(scan, trial.roles)),
         round(trial.config.sync.max_pose_gap_s * 1e9),
         trial.config.servo.c_p_v,
         Recorded(

@@ -89,10 +89,13 @@ def make(
 
 def run(frames: list[Frame], box: tuple[float, ...], *settings: str) -> list[Step]:
     trial: Any = SimpleNamespace(
-        robot=SimpleNamespace(description=None, base_frame="base", T_base_palm=lambda _: None),
+        robot=SimpleNamespace(
+            description=None, hand=None, base_frame="base", T_base_palm=lambda _: None
+        ),
         spec=SimpleNamespace(bbox=box, bbox_time_ns=None),
         event_ns=lambda _: None,
         frames=lambda: iter(frames),
+        scan=SimpleNamespace(poses={}),
     )
     return list(replay(trial, load_config("dynamic", ("grasps.source=none", *settings))))
 

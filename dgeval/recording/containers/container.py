@@ -20,13 +20,20 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic of a recording. `count` is from the file's own statistics, None without them."""
+    """One topic of a recording.
+
+    type: a ROS 2 name; of Foxglove's types the one that means the same. count: from the file's own
+    statistics, None without them. decode: gives an object with the type's fields. stored_type: as
+    the file names it. unread: why its messages can't be decoded; None where they can.
+    """
 
     name: str
     type: str
     encoding: str
     count: int | None
     decode: Callable[[bytes], Any]
+    stored_type: str = ""
+    unread: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +53,7 @@ class Container(Protocol):
     kind: str
     topics: dict[str, Topic]
     damage: list[Damage]
+    notes: list[str]
 
     @property
     def checksums(self) -> str: ...
@@ -71,6 +79,11 @@ class Opened:
     @property
     def damage(self) -> list[Damage]:
         return self.container.damage
+
+    @property
+    def notes(self) -> list[str]:
+        """What was assumed to read the file."""
+        return self.container.notes
 
     def messages(self, topics: frozenset[str] | None = None) -> Iterator[RawMessage]:
         """Messages of the topics (all if None) in log-time order, ties in file order.

@@ -24,7 +24,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
 from dgeval.recording.containers.container import MCAP_MAGIC, RawMessage, Topic
-from dgeval.recording.encodings import decoders
+from dgeval.recording.encodings import decoders, foxglove
 
 FOOTER_LENGTH = 1 + 8 + 20  # bytes: kind, length and content of the footer record, MCAP format
 MAX_CHUNK_BYTES = 1 << 30  # bytes, uncompressed; a larger claim is taken for damage
@@ -81,6 +81,7 @@ class McapContainer:
         self.path = path
         self.damage: list[Damage] = []
         self.topics: dict[str, Topic] = {}
+        self.notes: list[str] = []
         self.profile = ""
         self._size = path.stat().st_size
         self._schemas: dict[int, mcap.records.Schema] = {}
@@ -187,21 +188,26 @@ class McapContainer:
 
     def _add_topic(self, channel: mcap.records.Channel, counts: dict[int, int]) -> None:
         schema = self._schemas.get(channel.schema_id)
-        name = schema.name if schema else ""
+        stored = schema.name if schema else ""
+        name = stored
         if "/" in name and "/msg/" not in name:
             name = name.replace("/", "/msg/", 1)
         key = (channel.message_encoding, schema.encoding if schema else "")
         make = decoders().get(key)
         decode: Callable[[bytes], Any] | None = None
-        if make is not None and schema is not None:
+        why: str | None = None
+        if make is None or schema is None:
+            why = f"message encoding {key[0]!r} with schema encoding {key[1]!r} is not supported"
+        else:
             try:
                 decode = make(name, schema.data)
             except Exception as error:
-                why = f"its definition can't be parsed ({describe(error)})"
-            else:
-                why = ""
-        else:
-            why = f"message encoding {key[0]!r} with schema encoding {key[1]!r} is not supported"
+                why = f"its definition can't be used ({describe(error)})"
+        kind = foxglove.ros_type(name)
+        if decode is not None and kind != name:
+            decode = foxglove.adapted(name, decode)
+        if key == ("cdr", "") and decode is not None:
+            self.notes.append(f"{channel.topic} has no definition: {name} is known by its name")
         count = counts.get(channel.id) if counts else None
         before = self.topics.get(channel.topic)
         if before is not None:
@@ -209,10 +215,12 @@ class McapContainer:
             count = None if count is None or before.count is None else count + before.count
         self.topics[channel.topic] = Topic(
             channel.topic,
-            name or "?",
+            kind or "?",
             channel.message_encoding,
             count,
-            decode or _refuse(why, self._place(topic=channel.topic)),
+            decode or _refuse(why or "", self._place(topic=channel.topic)),
+            stored,
+            why,
         )
 
     def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]:

@@ -13,6 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
 from dgeval.recording.containers.container import RawMessage, Topic
+from dgeval.recording.encodings import foxglove, ros1
 
 BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO = 3, 4, 5, 6  # record kinds of the ROS bag format 2.0
 ORPHANS = "SELECT COUNT(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM topics)"
@@ -27,6 +28,7 @@ class RosbagsContainer:
         self.path = path
         self.damage: list[Damage] = []
         self.topics: dict[str, Topic] = {}
+        self.notes: list[str] = []
         self._source = path
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             files = sorted(path.glob("*.db3"))
@@ -45,20 +47,27 @@ class RosbagsContainer:
         reader = self._open()
         try:
             store = reader.typestore
-            deserialize = (
-                store.deserialize_ros1 if self.kind == "ROS 1 bag" else store.deserialize_cdr
-            )
             for connection in reader.connections:
-                decode: Callable[[bytes], Any] = partial(deserialize, typename=connection.msgtype)
-                if connection.msgtype not in store.fielddefs:
-                    decode = partial(
-                        _unknown_type, connection.msgtype, Place(str(path), connection.topic)
-                    )
+                stored, why = connection.msgtype, None
+                decode: Callable[[bytes], Any] = partial(store.deserialize_cdr, typename=stored)
+                if self.kind == "ROS 1 bag":
+                    decode = partial(ros1.decode, store, stored)
+                if stored not in store.fielddefs:
+                    why = f"no definition of {stored} in the recording"
+                    decode = partial(_unknown_type, why, Place(str(path), connection.topic))
+                elif foxglove.ros_type(stored) != stored:
+                    decode = foxglove.adapted(stored, decode)
                 before = self.topics.get(connection.topic)
                 count = connection.msgcount + (before.count or 0 if before else 0)
                 encoding = "ros1" if self.kind == "ROS 1 bag" else "cdr"
                 self.topics[connection.topic] = Topic(
-                    connection.topic, connection.msgtype, encoding, count, decode
+                    connection.topic,
+                    foxglove.ros_type(stored),
+                    encoding,
+                    count,
+                    decode,
+                    stored,
+                    why,
                 )
         finally:
             reader.close()
@@ -220,5 +229,5 @@ def _is_bag(path: Path) -> bool:
         return stream.read(8) == b"#ROSBAG "
 
 
-def _unknown_type(msgtype: str, place: Place, _: bytes) -> Any:
-    raise UndecodableError(f"no definition of {msgtype} in the recording", place)
+def _unknown_type(why: str, place: Place, _: bytes) -> Any:
+    raise UndecodableError(why, place)

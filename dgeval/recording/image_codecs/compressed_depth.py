@@ -1,8 +1,7 @@
-"""compressedDepth of ROS image_transport: 12 bytes of configuration, then a PNG.
+"""compressedDepth of ROS image_transport: 12 bytes of configuration, then a PNG or RVL.
 
-The PNG holds 16UC1 as it is, or 32FC1 as quantised inverse depth. The format text varies between
-ROS versions ("16UC1; compressedDepth", "… png", "… rvl"), so the PNG is found by its signature. RVL
-would be a further codec.
+They hold 16UC1 as it is, or 32FC1 as quantised inverse depth. The format text varies between ROS
+versions ("16UC1; compressedDepth", "… png", "… rvl"), so the PNG is found by its signature.
 """
 
 from __future__ import annotations
@@ -12,10 +11,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from dgeval.recording.image_codecs import rvl
 from dgeval.recording.image_codecs.compressed import PNG_START
 from dgeval.recording.image_codecs.pixels import Pixels
 
+MOST_PIXELS = 16384  # a side; a larger claim is damage
 HEADER_BYTES = 12  # ConfigHeader of compressed_depth_image_transport: format, a, b
 
 
@@ -29,20 +31,33 @@ def accepts(message: Any) -> bool:
 def decode(message: Any) -> Pixels:
     """16UC1 as stored; 32FC1, m, from inverse depth: z = a / (code - b), code 0 = no reading.
 
-    ValueError where the PNG or the header is missing or cut.
+    ValueError where the PNG, the RVL words or the header are missing or cut.
     """
     data = bytes(memoryview(message.data))
     start = data.find(PNG_START, 0, 64)
-    if start < 0:
-        raise ValueError(f"format {message.format!r}: no PNG inside (RVL is not supported yet)")
-    codes = cv2.imdecode(np.frombuffer(data, np.uint8, offset=start), cv2.IMREAD_UNCHANGED)
-    if codes is None or codes.ndim != 2 or codes.dtype != np.uint16:
-        raise ValueError(f"format {message.format!r}: the PNG inside is cut or not 16 bit")
+    codes = _rvl(message.format, data) if start < 0 else _png(message.format, data, start)
     if not message.format.strip().startswith("32FC1"):
         return Pixels(codes, "16UC1")
-    if start < HEADER_BYTES:
+    if 0 <= start < HEADER_BYTES:
         raise ValueError(f"format {message.format!r}: the configuration header is missing")
     a, b = struct.unpack_from("<ff", data, 4)
     with np.errstate(divide="ignore", invalid="ignore"):
         metres = np.where(codes > 0, a / (codes.astype(np.float32) - b), 0.0)
     return Pixels(metres.astype(np.float32), "32FC1")
+
+
+def _png(stated: str, data: bytes, start: int) -> NDArray[np.uint16]:
+    codes = cv2.imdecode(np.frombuffer(data, np.uint8, offset=start), cv2.IMREAD_UNCHANGED)
+    if codes is None or codes.ndim != 2 or codes.dtype != np.uint16:
+        raise ValueError(f"format {stated!r}: the PNG inside is cut or not 16 bit")
+    return np.asarray(codes, dtype=np.uint16)
+
+
+def _rvl(stated: str, data: bytes) -> NDArray[np.uint16]:
+    """RVL is known by the format's word, or, where that names nothing, by a size that fits."""
+    if len(data) < HEADER_BYTES + 8 or "png" in stated.lower():
+        raise ValueError(f"format {stated!r}: neither a PNG nor RVL inside")
+    width, height = struct.unpack_from("<ii", data, HEADER_BYTES)
+    if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
+        raise ValueError(f"format {stated!r}: no PNG inside, and RVL of {width}x{height} pixels")
+    return rvl.decode(data[HEADER_BYTES + 8 :], width * height).reshape(height, width)

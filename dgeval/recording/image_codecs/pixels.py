@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Pixels:
-    """Decoded pixels (H, W) or (H, W, C) and their encoding by sensor_msgs (rgb8, 16UC1, …)."""
+    """Decoded pixels (H, W) or (H, W, C) and their encoding by sensor_msgs (rgb8, 16UC1, …).
+
+    unit: m per unit of depth where the file states it, else None.
+    """
 
     array: NDArray[Any]
     encoding: str
+    unit: float | None = None

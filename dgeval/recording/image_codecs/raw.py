@@ -53,4 +53,5 @@ def decode(message: Any) -> Pixels:
         .reshape(height, width, channels)
         .astype(dtype, copy=False)
     )
-    return Pixels(array[:, :, 0] if channels == 1 else array, message.encoding)
+    unit = getattr(message, "depth_unit", None)  # of librealsense's recorder
+    return Pixels(array[:, :, 0] if channels == 1 else array, message.encoding, unit)

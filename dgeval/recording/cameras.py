@@ -1,0 +1,132 @@
+"""Colour, depth and intrinsics that belong to one camera.
+
+They are chosen together: depth in the colour camera's frame and size needs nothing; depth of its
+own camera is brought into colour with both intrinsics and the transform between them
+(`alignment`). Names only decide between candidates that fit equally well.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from os.path import commonpath
+from pathlib import PurePosixPath
+
+from dgeval.config import RolesConfig
+from dgeval.recording.images import DEPTH_ENCODINGS
+from dgeval.recording.scan import ImageHead, Scan
+
+COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "mono8", "8UC1"})
+GREY = frozenset({"mono8", "8UC1"})
+STEREO = ("infra", "left", "right")
+ALIGNED = ("aligned", "registered", "to_color", "to_colour", "to_rgb")
+
+
+def _has(name: str, *parts: str) -> bool:
+    return any(part in name.lower() for part in parts)
+
+
+def colour_topics(scan: Scan, heads: dict[str, ImageHead]) -> list[str]:
+    """Topics that may be colour, the likeliest by name first."""
+    return sorted(
+        (
+            n
+            for n, h in heads.items()
+            if h.encoding in COLOUR_ENCODINGS and "depth" not in n.lower()
+        ),
+        key=lambda n: (
+            not _has(n, "color", "colour", "rgb"),
+            _has(n, *STEREO),
+            -len(scan.times[n].log_ns),
+            n,
+        ),
+    )
+
+
+def depth_topics(scan: Scan, heads: dict[str, ImageHead]) -> list[str]:
+    """Topics that may be depth, the likeliest by name first.
+
+    16-bit grey is also how infrared pictures are stored: it is depth only under that name.
+    """
+    return sorted(
+        (
+            n
+            for n, h in heads.items()
+            if h.encoding in DEPTH_ENCODINGS and (h.encoding != "mono16" or _has(n, "depth"))
+        ),
+        key=lambda n: (
+            not _has(n, *ALIGNED),
+            not _has(n, "depth"),
+            -len(scan.times[n].log_ns),
+            n,
+        ),
+    )
+
+
+def is_aligned(colour: ImageHead, depth: ImageHead) -> bool:
+    """Whether depth has the colour camera's pixels: its frame, as far as both say one, and size."""
+    one_frame = not colour.frame_id or not depth.frame_id or colour.frame_id == depth.frame_id
+    return one_frame and (colour.width, colour.height) == (depth.width, depth.height)
+
+
+def choose_camera(
+    scan: Scan, heads: dict[str, ImageHead], config: RolesConfig
+) -> tuple[str | None, str | None, dict[str, list[str]]]:
+    """Topics of colour and depth, and by role the others that could have it."""
+    colours = [config.colour] if config.colour else colour_topics(scan, heads)
+    depths = [config.depth] if config.depth else depth_topics(scan, heads)
+
+    def rank(pair: tuple[str, str]) -> tuple[bool, bool, bool, int, int]:
+        c, d = heads.get(pair[0]), heads.get(pair[1])
+        aligned = c is not None and d is not None and is_aligned(c, d)
+        alignable = (
+            intrinsics_of(scan, heads, pair[0]) is not None
+            and intrinsics_of(scan, heads, pair[1]) is not None
+        )
+        stereo = c is not None and (c.encoding in GREY or _has(pair[0], *STEREO))
+        return (
+            not (aligned or alignable),
+            stereo,
+            not aligned,
+            colours.index(pair[0]),
+            depths.index(pair[1]),
+        )
+
+    pairs = list(product(colours, depths))
+    colour, depth = min(pairs, key=rank) if pairs else (None, None)
+    colour = colour or (colours[0] if colours else None)
+    depth = depth or (depths[0] if depths else None)
+    passed: dict[str, list[str]] = {}
+    for role, chosen, listed in (("colour", colour, colours), ("depth", depth, depths)):
+        others = [n for n in listed if n != chosen]
+        if others:
+            passed[role] = others
+    return colour, depth, passed
+
+
+def intrinsics_of(scan: Scan, heads: dict[str, ImageHead], image: str) -> str | None:
+    """The CameraInfo topic of an image topic; None where none is of its camera.
+
+    By frame and size where both are known; else the one whose name shares most with the image's.
+    """
+    head = heads.get(image)
+    if head is None:
+        return None
+    beside = PurePosixPath(image).parent  # the driver's namespace, or that of one of its streams
+    fitting = []
+    for name, model in scan.cameras.items():
+        one_frame = not model.frame_id or not head.frame_id or model.frame_id == head.frame_id
+        shared = len(commonpath([name, image]))
+        near = shared >= len(str(beside.parent)) > 1 or shared >= len(str(beside)) > 1
+        if not one_frame and not (near and model.frame_id not in _frames(heads)):
+            continue
+        same_size = model.full_size == (head.width, head.height) or (
+            model.intrinsics.width,
+            model.intrinsics.height,
+        ) == (head.width, head.height)
+        fitting.append((not one_frame, not same_size, -shared, name))
+    return min(fitting)[3] if fitting else None
+
+
+def _frames(heads: dict[str, ImageHead]) -> set[str]:
+    """The frames of all images: an intrinsics message of one of them is of that camera."""
+    return {h.frame_id for h in heads.values()}

@@ -1,0 +1,242 @@
+"""The moment of closing: as recorded, as a person says, or as the fingers show it.
+
+Nobody but dgeval writes /dgeval/events. Without a close in the log, the close is the start of the
+last closing motion before the palm rises: the fingers' solids come nearer to each other by at least
+a fifth of what they ever do, within 1.5 s. Fingers that move without a lift after it are no proof
+of a grasp, so nothing is inferred from them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.geometry import Array
+from dgeval.recording.contract import (
+    CLOSE_EVENT,
+    LIFT_EVENT,
+    TRIAL_END_EVENT,
+    TRIAL_START_EVENT,
+)
+from dgeval.recording.events import Events
+from dgeval.recording.messages import Event
+from dgeval.recording.robot import RobotStates
+
+CloseSource = Literal["recorded", "given", "inferred"]
+
+CLOSES_BY = 0.20  # share of the recorded range by which a closing motion narrows the hand
+LEAST_M = 0.004  # m, least range of a hand that is said to close at all; ours
+WITHIN_S = 1.5  # s, in which it does so
+STEP_NS = 10_000_000  # ns, between the times at which the hand is looked at
+STILL_NS = 100_000_000  # ns; a closing motion may pause for so long
+RESTING_NS = 250_000_000  # ns; fingers that met the object may go on within so long; ours
+# ns; fingers that begin to move less than this before the palm rises, or while it does, slip or
+# press on as the object is lifted: that is no close
+BEFORE_LIFT_NS = 120_000_000
+# m and s: the palm begins to rise within AFTER_S of the fingers' coming to rest, and is up by
+# RISES_M within RISES_S of that; ours
+RISES_M, RISES_S, AFTER_S = 0.05, 1.0, 1.0
+RISING_M = 0.005  # m, from which on it is rising
+MENDS = "mark it with --close TIME, or close_ns in a manifest"
+
+
+@dataclass(frozen=True)
+class CloseKnown:
+    """What is known of a trial's close.
+
+    events: with the close, and a lift where the palm shows one. source: None without a close.
+    missing: why no close is known; None where one is, or where the robot wrote its events and none
+    is a close. note: for the trial's row, "" without.
+    """
+
+    events: Events
+    source: CloseSource | None
+    missing: str | None
+    note: str = ""
+
+
+def close_of(
+    events: Events,
+    robot: RobotStates,
+    first_ns: int,
+    last_ns: int,
+    given_ns: int | None = None,
+    lift_ns: int | None = None,
+) -> CloseKnown:
+    """The close of a trial whose images last from first_ns to last_ns.
+
+    given_ns, lift_ns: what a person says, which goes before everything else.
+    """
+    if lift_ns is not None:
+        events = _with(events, LIFT_EVENT, lift_ns)
+    if given_ns is not None:
+        return CloseKnown(_with(events, CLOSE_EVENT, given_ns), "given", None)
+    if events.first_ns(CLOSE_EVENT) is not None:
+        return CloseKnown(events, "recorded", None)
+    if any(e.kind in (TRIAL_START_EVENT, TRIAL_END_EVENT) for e in events):
+        return CloseKnown(events, None, None)  # the robot writes its events, and it did not close
+    found = _inferred(robot, first_ns, last_ns)
+    if isinstance(found, str):
+        return CloseKnown(events, None, f"{found}; {MENDS}")
+    close_ns, lift_at, period_s = found
+    events = _with(events, CLOSE_EVENT, close_ns)
+    if lift_ns is None:
+        events = _with(events, LIFT_EVENT, lift_at)
+    at = (close_ns - first_ns) * 1e-9
+    note = (
+        f"no close command is recorded; the fingers begin to close at {at:+.2f} s "
+        f"(± {max(period_s, 0.03):.2f} s), before the palm rises; if that is wrong: {MENDS}"
+    )
+    return CloseKnown(events, "inferred", None, note)
+
+
+def _with(events: Events, kind: str, t_ns: int) -> Events:
+    """The events with one of a kind at a time, in place of those of that kind."""
+    kept = [e for e in events if e.kind != kind]
+    return replace(
+        events, entries=tuple(sorted([*kept, Event(t_ns, kind, {})], key=lambda e: e.t_ns))
+    )
+
+
+def _inferred(robot: RobotStates, first_ns: int, last_ns: int) -> tuple[int, int, float] | str:
+    """Close and lift, ns, and the period of the joint states, s; or why they are not known."""
+    tips = _finger_ends(robot)
+    if len(tips) < 2:
+        return (
+            "no moment of closing is marked, and no fingers that move are known "
+            "(joint states of the hand and a robot description are needed)"
+        )
+    times, width = _width(robot, tips, first_ns, last_ns)
+    if len(times) < 20:
+        return "no moment of closing is marked, and the fingers' joint states are not recorded"
+    if float(np.ptp(width)) < LEAST_M:
+        return "no moment of closing is marked, and the fingers hardly move"
+    motions = _closing_motions(times, width)
+    if not motions:
+        return "no moment of closing is marked, and the fingers never close"
+    for k in reversed(range(len(motions))):
+        start, end = motions[k]
+        while k and start - motions[k - 1][1] < RESTING_NS:
+            k -= 1
+            start = motions[k][0]
+        lift = _lift(robot, start, end, last_ns)
+        if lift is not None and lift - start >= BEFORE_LIFT_NS:
+            period = float(np.median(np.diff(times))) * 1e-9
+            return start, lift, period
+    at = (motions[-1][0] - first_ns) * 1e-9
+    return (
+        f"no moment of closing is marked; fingers close at {at:+.2f} s, but the palm does not rise "
+        "after it"
+    )
+
+
+def _finger_ends(robot: RobotStates) -> tuple[str, ...]:
+    """The hand's links with a shape, below which there is no other one, and that can move."""
+    description = robot.description
+    if description is None:
+        return ()
+    links = set(robot.hand_links)
+    ends = [link for link in robot.hand_links if not links & set(description.below(link)[1:])]
+
+    def moves(link: str) -> bool:
+        while link in description.joints and link in links:
+            if description.joints[link].kind != "fixed":
+                return True
+            link = description.joints[link].parent
+        return False
+
+    return tuple(link for link in ends if moves(link))
+
+
+def _width(
+    robot: RobotStates, tips: tuple[str, ...], first_ns: int, last_ns: int
+) -> tuple[NDArray[np.int64], Array]:
+    """Mean distance between the ends of the fingers, m, over time; where all are known."""
+    assert robot.description is not None
+    middle = {
+        tip: np.append(
+            np.mean([s.T_link_shape[:3, 3] for s in robot.description.shapes[tip]], axis=0), 1.0
+        )
+        for tip in tips
+    }
+    times, widths = [], []
+    root = robot.palm_frame or robot.base_frame or tips[0]
+    for t_ns in range(first_ns, last_ns + 1, STEP_NS):
+        places = []
+        for tip in tips:
+            T = robot.tree.lookup(root, tip, t_ns)
+            if T is None:
+                break
+            places.append((T @ middle[tip])[:3])
+        if len(places) == len(tips):
+            times.append(t_ns)
+            widths.append(np.mean([np.linalg.norm(a - b) for a, b in combinations(places, 2)]))
+    return np.array(times, dtype=np.int64), np.array(widths)
+
+
+def _closing_motions(times: NDArray[np.int64], width: Array) -> list[tuple[int, int]]:
+    """Start and end, ns, of the motions that narrow the hand enough."""
+    span = float(np.ptp(width))
+    kernel = np.ones(3) / 3
+    smooth = np.convolve(np.pad(width, 1, mode="edge"), kernel, mode="valid")
+    rate = np.gradient(smooth, times * 1e-9)
+    closing = rate < -CLOSES_BY * span / WITHIN_S
+    out: list[tuple[int, int]] = []
+    k = 0
+    while k < len(times):
+        if not closing[k]:
+            k += 1
+            continue
+        end = k
+        for j in range(k, len(times)):
+            if closing[j]:
+                end = j
+            elif times[j] - times[end] > STILL_NS:
+                break
+        if smooth[k] - smooth[end] >= max(CLOSES_BY * span, LEAST_M / 2):
+            out.append((_start(times, width, k, end), int(times[end])))
+        k = end + 1
+    return out
+
+
+def _start(times: NDArray[np.int64], width: Array, k: int, end: int) -> int:
+    """When a motion that is seen from k on began: its first steep part, carried back to the level
+    before it.
+    """
+    before = slice(max(0, k - 12), max(1, k - 2))
+    level, drop = float(np.median(width[before])), float(width[before].min() - width[end])
+    inside = np.arange(max(0, k - 3), end + 1)
+    some = next((i for i in inside if width[i] < level - 0.05 * drop), k)
+    more = next((i for i in inside if i > some and width[i] < level - 0.20 * drop), some)
+    if more == some or width[some] == width[more]:
+        return int(times[k])
+    slope = (width[more] - width[some]) / float(times[more] - times[some])
+    back = (level - width[some]) / slope
+    return int(np.clip(times[some] + back, times[max(0, k - 12)], times[some]))
+
+
+def _lift(robot: RobotStates, close_ns: int, rest_ns: int, last_ns: int) -> int | None:
+    """When the palm begins to rise after a close, ns; None where it does not, or is not known.
+
+    rest_ns: when the fingers came to rest.
+    """
+    heights: list[tuple[int, float]] = []
+    until = rest_ns + round((AFTER_S + RISES_S) * 1e9)
+    for t_ns in range(close_ns, min(last_ns, until) + 1, STEP_NS):
+        T = robot.T_base_palm(t_ns)
+        if T is not None:
+            heights.append((t_ns, float(T[2, 3])))
+    if not heights:
+        return None
+    lowest = np.minimum.accumulate([z for _, z in heights])
+    up = next((i for i, (_, z) in enumerate(heights) if z - lowest[i] > RISES_M), None)
+    if up is None:
+        return None
+    begin = next(t for t, z in heights[: up + 1][::-1] if z - lowest[up] < RISING_M)
+    if begin - rest_ns > AFTER_S * 1e9 or heights[up][0] - begin > RISES_S * 1e9:
+        return None
+    return begin
