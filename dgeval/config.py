@@ -401,6 +401,12 @@ class ReviewConfig(Section):
     cloud_points: int = Field(1000, ge=1)
 
 
+class ChecksConfig(Section):
+    accept: tuple[str, ...] = Field(
+        (), description="names of failed checks that stay notes and set no exit code"
+    )
+
+
 class Config(Section):
     pipeline: Literal["dynamic", "vfas"] = "dynamic"
     seed: int = Field(0, ge=0)
@@ -424,6 +430,7 @@ class Config(Section):
     schedule: ScheduleConfig = ScheduleConfig()
     verdict: VerdictConfig = VerdictConfig()
     review: ReviewConfig = ReviewConfig()
+    checks: ChecksConfig = ChecksConfig()
 
     def beyond_the_paper(self) -> list[str]:
         """Sentences for a trial's notes: where these values depart from the paper."""

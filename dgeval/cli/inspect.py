@@ -34,7 +34,9 @@ def inspect(
     from dgeval.recording.inspection import inspect_recording
 
     inspection = inspect_recording(path, load_config(pipeline, tuple(set_ or ())))
-    code = EXIT_DATA_LOST if inspection["damage"] else EXIT_OK
+    accepted = load_config(pipeline, tuple(set_ or ())).checks.accept
+    failed = [c for c in inspection["checks"] if c["name"] not in accepted]
+    code = EXIT_DATA_LOST if inspection["damage"] or failed else EXIT_OK
     for damage in inspection["damage"]:
         typer.echo(f"damage: {damage}", err=True)
     if json_:
@@ -99,6 +101,9 @@ def _print(inspection: dict[str, Any]) -> None:
         typer.echo(f"event: {event['event']} at {event['t_ns']} ns")
     for note in inspection["notes"]:
         typer.echo(f"note: {note}")
+    for check in inspection["checks"]:
+        typer.echo(f"check failed: {check['name']}: {check['what']}; {check['mend']}")
+    typer.echo(f"replay: {inspection['replay']}")
     typer.echo("can it be told …")
     for answer in inspection["answers"]:
         missing = f": missing {', '.join(answer['missing'])}" if answer["missing"] else ""

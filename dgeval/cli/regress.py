@@ -115,7 +115,7 @@ def regress(
     with tempfile.TemporaryDirectory() as folder:
         about, before = read_baseline(baseline, Path(folder))
         check_dataset(about, name, specs, baseline)
-        hashes = {s.id: sha256_of(s.recording) for s in specs}
+        hashes = {s.id: sha256_of(s.recording, s.parts) for s in specs}
         check_recordings(about, hashes, baseline)
         code = replay(hashes)
         c, passed, message = gate(before, read_run(out), fail_on == "inconclusive")

@@ -14,6 +14,7 @@ from dgeval.cli.boundary import command, print_json
 EXAMPLES = """\b
 Examples:
   dgeval replay apple.mcap --bbox 430,342,524,432
+  dgeval replay apple.mcap --close +3.2 --label failure
   dgeval replay trials.toml --out runs/monday --jobs 4
   dgeval replay night/ --set registration.method=open3d --no-review
 """
@@ -44,6 +45,20 @@ def replay(
     ] = None,
     frames: Annotated[
         str | None, typer.Option(help="A:B, paired frames to use. Needs exactly one trial.")
+    ] = None,
+    close: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME",
+            help="When the hand was told to close: +3.2 s after the first frame, or a stamp in s. "
+            "Needs exactly one trial.",
+        ),
+    ] = None,
+    lift: Annotated[
+        str | None, typer.Option(metavar="TIME", help="When it was told to lift, likewise.")
+    ] = None,
+    label: Annotated[
+        str | None, typer.Option(help="success or failure, as you saw it. Needs exactly one trial.")
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
     review: Annotated[
@@ -76,6 +91,14 @@ def replay(
         specs = [with_fields(specs[0], bbox=_numbers(bbox, 4, "--bbox"), bbox_time_ns=bbox_time)]
     if frames:
         specs = [with_fields(specs[0], frames=_range(frames))]
+    said = {**_moment("close", close), **_moment("lift", lift), **_label(label)}
+    if said and len(specs) != 1:
+        raise UsageError(
+            f"--close, --lift and --label need exactly one trial, there are {len(specs)}",
+            hint="use a manifest with close_ns, lift_ns or label",
+        )
+    if said:
+        specs = [with_fields(specs[0], **said)]
 
     def on_result(result: TrialResult) -> None:
         for message in result.messages:
@@ -114,6 +137,37 @@ def replay(
     else:
         _print_summary(out, results, review)
     raise typer.Exit(code)
+
+
+def _moment(name: str, text: str | None) -> dict[str, Any]:
+    """Fields of a trial for a time such as +3.2 (s after the first frame) or 1800000003.2 (s)."""
+    from decimal import Decimal, InvalidOperation
+
+    from dgeval.errors import UsageError
+
+    if text is None:
+        return {}
+    try:
+        value = Decimal(text)
+    except InvalidOperation as error:
+        raise UsageError(
+            f"--{name} {text!r} is no time", hint="give +3.2, or a stamp in s such as 1800000003.2"
+        ) from error
+    if text.strip().startswith(("+", "-")) or value < 1_000_000:
+        return {f"{name}_after_s": float(value)}
+    return {f"{name}_ns": int(value * 1_000_000_000)}
+
+
+def _label(text: str | None) -> dict[str, Any]:
+    from dgeval.errors import UsageError
+    from dgeval.recording.contract import label_of
+
+    if text is None:
+        return {}
+    label = label_of(text)
+    if label is None:
+        raise UsageError(f"--label {text!r} is neither success nor failure")
+    return {"label": label}
 
 
 def _check_determinism(specs: Any, config: Any, jobs: int, results: Any) -> None:

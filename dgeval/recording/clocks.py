@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +17,9 @@ Ints = NDArray[np.int64]
 class StampFaults:
     """Counts of wrong stamps over one image topic.
 
-    zero: the log time is used instead. backward, duplicate: the message is not used. jump: forward
-    by more than `sync.jump_s`; the message is used.
+    zero: the log time is used instead. backward: out of order with the most others, duplicate:
+    equal to another; the message is not used. jump: forward by more than `sync.jump_s`; the message
+    is used.
     """
 
     zero: int
@@ -36,19 +38,41 @@ def clean_stamps(
     """Usable stamps, ns, strictly rising; their ordinals in the topic; counts of wrong stamps."""
     zero = header_ns == 0
     stamps = np.where(zero, log_ns, header_ns) + offset_ns
-    keep: list[int] = []
-    backward = duplicate = jump = 0
-    last: int | None = None
+    keep = _longest_rising(stamps.tolist())
+    kept = set(keep)
+    values = {int(stamps[i]) for i in keep}
+    backward = duplicate = 0
     for i, t in enumerate(stamps.tolist()):
-        if last is not None and t <= last:
-            backward += t < last
-            duplicate += t == last
-            continue
-        jump += last is not None and t - last > jump_ns
-        keep.append(i)
-        last = t
+        if i not in kept:
+            duplicate += t in values
+            backward += t not in values
     ordinals = np.array(keep, dtype=np.int64)
-    return stamps[ordinals], ordinals, StampFaults(int(zero.sum()), backward, duplicate, jump)
+    used = stamps[ordinals]
+    jump = int((np.diff(used) > jump_ns).sum()) if len(used) > 1 else 0
+    return used, ordinals, StampFaults(int(zero.sum()), backward, duplicate, jump)
+
+
+def _longest_rising(stamps: list[int]) -> list[int]:
+    """Indices of the longest strictly rising subsequence, of equally long ones the earliest.
+
+    One stamp that is far ahead or behind costs that stamp, not all that come after it.
+    """
+    lengths = [0] * len(stamps)  # of the longest that begins at each stamp
+    ends: list[int] = []  # negative first values, by length, of the one that begins latest
+    for i in reversed(range(len(stamps))):
+        k = bisect_left(ends, -stamps[i])
+        if k == len(ends):
+            ends.append(-stamps[i])
+        else:
+            ends[k] = -stamps[i]
+        lengths[i] = k + 1
+    out: list[int] = []
+    wanted, last = len(ends), None
+    for i, t in enumerate(stamps):
+        if lengths[i] == wanted and (last is None or t > last):
+            out.append(i)
+            wanted, last = wanted - 1, t
+    return out
 
 
 def pair(colour_ns: Ints, depth_ns: Ints, tolerance_ns: int) -> list[tuple[int, int]]:

@@ -20,7 +20,6 @@ from dgeval.recording.contract import (
     CLOSE_EVENT,
     LIFT_EVENT,
     TRIAL_END_EVENT,
-    TRIAL_START_EVENT,
 )
 from dgeval.recording.events import Events
 from dgeval.recording.messages import Event
@@ -77,7 +76,7 @@ def close_of(
         return CloseKnown(_with(events, CLOSE_EVENT, given_ns), "given", None)
     if events.first_ns(CLOSE_EVENT) is not None:
         return CloseKnown(events, "recorded", None)
-    if any(e.kind in (TRIAL_START_EVENT, TRIAL_END_EVENT) for e in events):
+    if events.first_ns(TRIAL_END_EVENT) is not None:
         return CloseKnown(events, None, None)  # the robot writes its events, and it did not close
     found = _inferred(robot, first_ns, last_ns)
     if isinstance(found, str):

@@ -69,6 +69,7 @@ EventKind = Literal["trial_start", "close", "lift", "trial_end", "label"]
 """What an entry of EVENTS_TOPIC may say. Other kinds are kept and shown, and mean nothing."""
 
 EVENT_KINDS: Final = frozenset(get_args(EventKind))
+"""The kinds as a set; a message may hold the kind alone, without JSON."""
 
 TRIAL_START_EVENT: Final = "trial_start"
 """A trial begins; a recording with several is cut there. May carry NOTES_KEY."""
@@ -98,7 +99,10 @@ LABEL_KEY: Final = "label"
 """Key of an operator's label, one of SUCCESS_LABELS or FAILURE_LABELS in any case."""
 
 SUCCESS_LABELS: Final = ("success", "succeeded", "successful", "pass", "passed", "ok")
+"""Words of an operator for a success."""
+
 FAILURE_LABELS: Final = ("failure", "fail", "failed", "unsuccessful")
+"""Words of an operator for a failure."""
 
 
 def label_of(text: object) -> Literal["success", "failure"] | None:

@@ -12,14 +12,17 @@ from dgeval.errors import DgevalError
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import BELIEF_PREFIX, CLOSE_EVENT, LABEL_EVENT, TRUTH_PREFIX
+from dgeval.recording.manifest import find_trials
 from dgeval.recording.pairing import pair_images
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import Scan, scan
+from dgeval.recording.trials import open_trial
 
 
 def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
-    """A summary for JSON: file, damage, topics, roles, timing, events, notes, answers.
+    """A summary for JSON: file, damage, topics, roles, timing, events, notes, answers, checks that
+    fail, and what `replay` will say.
 
     UnreadableError, UsageError.
     """
@@ -47,7 +50,28 @@ def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
         "notes": [*(() if robot is None else robot.notes), *([robot_error] if robot_error else [])],
     }
     out["answers"] = _answers(out, scanned, roles, robot)
+    out["checks"], out["replay"], notes = _foretold(path, config)
+    out["notes"] += [n for n in notes if n not in out["notes"]]
     return out
+
+
+def _foretold(path: Path, config: Config) -> tuple[list[dict[str, str]], str, list[str]]:
+    """The checks that fail, what `replay` will say first, and its notes, by replay's own code."""
+    try:
+        trial = open_trial(find_trials([path], config.roles.events)[0], config)
+    except DgevalError as error:
+        return [], f"refused: {error}", []
+    checks = [{"name": c.name, "what": c.what, "mend": c.mend} for c in trial.checks]
+    close = (
+        trial.close.missing
+        or {
+            "recorded": "the close is recorded",
+            "inferred": "the close is inferred from the fingers",
+            "given": "the close is given",
+            None: "the robot's events hold no close",
+        }[trial.close.source]
+    )
+    return checks, f"{len(trial.pairs)} frames; {close}", list(trial.notes)
 
 
 def _topic(scanned: Scan, name: str) -> dict[str, Any]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, field_validator
 
 from dgeval.config import read_toml, validated
 from dgeval.errors import Place, UndecodableError, UnreadableError, UsageError
-from dgeval.recording.containers.opening import open_container
+from dgeval.recording.containers.container import MCAP_MAGIC
+from dgeval.recording.containers.opening import BAG_MAGIC, open_container, stored_files
 from dgeval.recording.contract import (
     EVENTS_TOPIC,
     FAILURE_LABELS,
@@ -19,8 +22,13 @@ from dgeval.recording.contract import (
     TRIAL_START_EVENT,
     label_of,
 )
+from dgeval.recording.messages import event_of
 
 SUFFIXES = (".mcap", ".bag", ".db3")
+PACKED = (".zstd", ".zst", ".active")  # behind one of these: compressed as a whole, or unfinished
+NO_RECORDING = (".rrd", ".parquet", ".json", ".toml", ".yaml", ".py", ".md")
+SPLIT_BAG = re.compile(r"(?P<stem>.*?)(?:_\d{4}(?:-\d\d){5})?_(?P<k>\d+)\.bag")
+SPLIT_GAP_NS = 2_000_000_000  # ns, at most between two parts of a bag that was split; ours
 
 
 class _ManifestTrial(BaseModel):
@@ -67,8 +75,9 @@ class TrialSpec:
 
     frames: [first, last) of the paired frames. bbox: x0, y0, x1, y1 of the target, from
     bbox_time_ns on. label: an operator's, success or failure. cause: an operator's word for why.
-    close_ns, lift_ns: of the commands, where a person knows better than the log. sha256: of the
-    recording, as the manifest says.
+    close_ns, lift_ns: of the commands, where a person knows better than the log; close_after_s,
+    lift_after_s: likewise, s after the first frame. sha256: of the
+    recording, as the manifest says. parts: the files of a recording that was split, in order.
     """
 
     id: str
@@ -86,6 +95,9 @@ class TrialSpec:
     cause: str | None = None
     close_ns: int | None = None
     lift_ns: int | None = None
+    close_after_s: float | None = None
+    lift_after_s: float | None = None
+    parts: tuple[Path, ...] = ()
 
 
 def find_trials(paths: list[Path], events_topic: str | None = None) -> list[TrialSpec]:
@@ -98,22 +110,7 @@ def find_trials(paths: list[Path], events_topic: str | None = None) -> list[Tria
         if path.suffix == ".toml":
             specs.extend(_from_manifest(path))
         elif path.is_dir() and not _is_recording(path):
-            inside = sorted(
-                p for p in path.rglob("*") if _is_recording(p) and not _is_recording(p.parent)
-            )
-            if not inside:
-                raise UnreadableError(
-                    "no recording (.mcap, .bag, .db3) below this folder", Place(str(path))
-                )
-            for file in inside:
-                relative = file.relative_to(path)
-                specs.extend(
-                    _of_recording(
-                        file,
-                        str(relative.with_suffix("") if file.is_file() else relative),
-                        events_topic,
-                    )
-                )
+            specs.extend(_in_folder(path, events_topic))
         else:
             specs.extend(
                 _of_recording(
@@ -130,27 +127,100 @@ def find_trials(paths: list[Path], events_topic: str | None = None) -> list[Tria
     return specs
 
 
+def _in_folder(folder: Path, events_topic: str | None) -> list[TrialSpec]:
+    """The trials of every recording below a folder.
+
+    One that can't be opened is a trial too, so that the run names it.
+    """
+    inside = sorted(
+        p
+        for p in folder.rglob("*")
+        if _is_recording(p) and not any(_is_recording(a) for a in p.parents if folder in a.parents)
+    )
+    if not inside:
+        raise UnreadableError(
+            "no recording (.mcap, .bag, .db3) below this folder", Place(str(folder))
+        )
+    out = []
+    for parts in _split_bags(inside):
+        first = parts[0]
+        relative = first.relative_to(folder)
+        name = str(relative)
+        while first.is_file() and (suffix := Path(name).suffix) in (*SUFFIXES, *PACKED):
+            name = name[: -len(suffix)]
+        if len(parts) > 1:
+            name = name[: -len("_0")]
+        try:
+            out.extend(_of_recording(first, name, events_topic, parts if len(parts) > 1 else ()))
+        except UnreadableError:
+            out.append(TrialSpec(name, first))
+    return out
+
+
+def _split_bags(paths: list[Path]) -> list[tuple[Path, ...]]:
+    """Recordings as tuples of their files: those that `rosbag record --split` numbered together.
+
+    They have one name but for the number, which begins at 0, and a date; and each begins where the
+    one before ends.
+    """
+    groups: dict[tuple[Path, str], dict[int, Path]] = {}
+    for path in paths:
+        numbered = SPLIT_BAG.fullmatch(path.name) if path.is_file() else None
+        if numbered is not None:
+            groups.setdefault((path.parent, numbered["stem"]), {})[int(numbered["k"])] = path
+    together: dict[Path, tuple[Path, ...]] = {}
+    for numbers in groups.values():
+        files = [numbers[k] for k in sorted(numbers)]
+        if len(files) > 1 and sorted(numbers) == list(range(len(files))) and _follow(files):
+            together |= dict.fromkeys(files, tuple(files))
+    return [together.get(path, (path,)) for path in paths if together.get(path, (path,))[0] == path]
+
+
+def _follow(files: list[Path]) -> bool:
+    """Whether each file begins within SPLIT_GAP_NS of the end of the one before."""
+    spans = []
+    for file in files:
+        try:
+            times = [m.log_ns for m in open_container(file).messages()]
+        except UnreadableError:
+            return False
+        if not times:
+            return False
+        spans.append((min(times), max(times)))
+    return all(0 <= b[0] - a[1] < SPLIT_GAP_NS for a, b in pairwise(spans))
+
+
 def _is_recording(path: Path) -> bool:
-    """Whether a path is a recording: a file by its suffix, or a ROS 2 folder with metadata.yaml.
+    """Whether a path is a recording: a ROS 2 folder with metadata.yaml, or a file by its suffix or
+    first bytes.
 
     In a folder without metadata each file is a recording of its own.
     """
     if path.is_dir():
-        return (path / "metadata.yaml").is_file() and any(
-            p.suffix in (".mcap", ".db3") for p in path.iterdir()
-        )
-    return path.suffix in SUFFIXES
+        return (path / "metadata.yaml").is_file() and bool(stored_files(path))
+    if path.suffix in SUFFIXES or path.suffixes[-2:] in ([".bag", ".active"],):
+        return True
+    if path.suffix in PACKED and Path(path.stem).suffix in SUFFIXES:
+        return True
+    if not path.is_file() or path.suffix in NO_RECORDING:
+        return False
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(16)
+    except OSError:
+        return False
+    return head.startswith((MCAP_MAGIC, BAG_MAGIC))
 
 
-def _of_recording(path: Path, name: str, events_topic: str | None) -> list[TrialSpec]:
+def _of_recording(
+    path: Path, name: str, events_topic: str | None, parts: tuple[Path, ...] = ()
+) -> list[TrialSpec]:
     """One trial per trial_start event; without any, the whole recording is one."""
-    opened = open_container(path)
+    opened = open_container(path, parts)
     topic = events_topic or EVENTS_TOPIC
     starts: list[int] = []
     ends: list[int] = []
     if topic in opened.topics:
-        from dgeval.recording.messages import event_of
-
         for message in opened.messages(frozenset({topic})):
             try:
                 event = event_of(opened.decode(message).data, message.log_ns)
@@ -159,13 +229,14 @@ def _of_recording(path: Path, name: str, events_topic: str | None) -> list[Trial
             if event.kind in (TRIAL_START_EVENT, TRIAL_END_EVENT):
                 (starts if event.kind == TRIAL_START_EVENT else ends).append(event.t_ns)
     if not starts:
-        return [TrialSpec(name, path)]
+        return [TrialSpec(name, path, parts=parts)]
     out = []
     for k, start in enumerate(sorted(starts)):
         later = sorted(t for t in [*starts, *ends] if t > start)
         # the end belongs to the trial; a next start does not
         end = later[0] if later and later[0] in ends else (later[0] - 1 if later else None)
-        out.append(TrialSpec(name if len(starts) == 1 else f"{name}#{k}", path, start, end))
+        unique = name if len(starts) == 1 else f"{name}#{k}"
+        out.append(TrialSpec(unique, path, start, end, parts=parts))
     return out
 
 

@@ -70,7 +70,7 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
         depth_intrinsics = intrinsics_of(scan, heads, depth)
     joints = sorted(
         (n for n in scan.joints if used(n)),
-        key=lambda n: (n.count("/"), not _has(n, "joint_states"), -_count(scan, n), n),
+        key=lambda n: (not _has(n, "joint_states"), n.count("/"), -_count(scan, n), n),
     )
     if config.hand_joints is not None:
         joints = [config.hand_joints]

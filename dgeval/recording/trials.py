@@ -12,6 +12,7 @@ from dgeval.config import Config
 from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics
 from dgeval.recording.camera import camera_of
+from dgeval.recording.checks import Check, clock_check, failed_checks
 from dgeval.recording.closes import CloseKnown, close_of
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
@@ -48,6 +49,7 @@ class Trial:
     events: Events
     close: CloseKnown
     reader: FrameReader
+    checks: tuple[Check, ...]
     notes: tuple[str, ...]
 
     @property
@@ -98,9 +100,9 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     UsageError.
     """
     place = Place(str(spec.recording))
-    opened = open_container(spec.recording)
+    opened = open_container(spec.recording, spec.parts)
     if sha256 is None:
-        sha256 = sha256_of(spec.recording)
+        sha256 = sha256_of(spec.recording, spec.parts)
     if spec.sha256 is not None and spec.sha256.lower() != sha256:
         raise UnreadableError(
             f"sha256 is {sha256}, the manifest says {spec.sha256}: not the recording it names",
@@ -110,13 +112,24 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     roles = find_roles(scanned, config.roles)
     colour, depth = image_topics(scanned, roles)
     robot = robot_states(scanned, roles, config)
-    window = window_of(pair_images(scanned, colour, depth, config), spec, opened.damage)
+    try:
+        window = window_of(pair_images(scanned, colour, depth, config), spec, opened.damage)
+    except UnreadableError as error:
+        clocks, _ = clock_check(scanned, roles, config.clock)
+        if clocks is None:
+            raise
+        raise UnreadableError(f"{error.what}: {clocks.what}", place, clocks.mend) from error
     camera = camera_of(
         scanned, colour, depth, roles, robot.tree, window.pairs[0].t_ns, config.calibration
     )
     _check_box(spec.bbox, camera.intrinsics, place)
     marked = events_within(scanned.events, window.start_ns, window.end_ns, spec.end_ns)
-    close = close_of(marked, robot, window.start_ns, window.end_ns, spec.close_ns, spec.lift_ns)
+    first_ns = window.pairs[0].t_ns
+    given = (
+        _given(spec.close_ns, spec.close_after_s, first_ns),
+        _given(spec.lift_ns, spec.lift_after_s, first_ns),
+    )
+    close = close_of(marked, robot, first_ns, window.pairs[-1].t_ns, *given)
     events = close.events
     notes = [
         *opened.notes,
@@ -126,6 +139,9 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
         *stamp_notes(window.stamp_faults),
     ]
     grasps, lost = recorded_grasps(scanned), LostFrames(opened.damage)
+    reader = FrameReader(opened, colour, depth, window.pairs, camera, robot, grasps, lost)
+    checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock)
+    notes += [*hints, *(str(c) for c in checks)]
     return Trial(
         replace(spec, start_ns=window.start_ns, end_ns=window.end_ns),
         sha256,
@@ -137,9 +153,15 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
         window,
         events,
         close,
-        FrameReader(opened, colour, depth, window.pairs, camera, robot, grasps, lost),
+        reader,
+        tuple(checks),
         tuple(notes),
     )
+
+
+def _given(t_ns: int | None, after_s: float | None, first_ns: int) -> int | None:
+    """A time that a person gave, as a stamp, ns, or s after the first frame."""
+    return first_ns + round(after_s * 1e9) if after_s is not None else t_ns
 
 
 def _check_box(

@@ -132,7 +132,7 @@ def read_truth(paths: list[Path]) -> dict[str, dict[str, Any]]:
     """
     out = {}
     for spec in find_trials(paths):
-        opened = open_container(spec.recording)
+        opened = open_container(spec.recording, spec.parts)
         if TRUTH_VERDICT_TOPIC not in opened.topics:
             continue
         for message in opened.messages(frozenset({TRUTH_VERDICT_TOPIC})):

@@ -234,6 +234,10 @@ def trial_row(
         messages.append(
             f"{unmatched} of {n_colour} colour images have no depth image near enough in time"
         )
+    for check in trial.checks:
+        if check.name not in config.checks.accept:
+            exit_code = EXIT_DATA_LOST
+            messages.append(str(check))
     row: dict[str, Any] = {
         "trial": spec.id,
         "recording": spec.recording.name,
@@ -253,10 +257,24 @@ def trial_row(
         "t_close_ns": trial.event_ns(CLOSE_EVENT),
         "t_decisive_ns": judgement.decisive_ns,
         "contact_link": judgement.link,
-        "notes": "; ".join([*trial_notes(trial, config, counts), *judgement.notes]),
+        "notes": "; ".join(
+            [
+                *trial_notes(trial, config, counts),
+                *unmeasured_note(counts),
+                *judgement.notes,
+            ]
+        ),
         **asdict(judgement.row),
     }
     return row, exit_code, messages
+
+
+def unmeasured_note(counts: FrameCounts) -> list[str]:
+    """A note where the target was seen with depth in no frame."""
+    if counts.frames == 0 or counts.lost + counts.no_depth < counts.frames:
+        return []
+    what = f"the target was seen with usable depth in none of {counts.frames} frames"
+    return [f"{what}; if it should have been, give its box with --bbox x0,y0,x1,y1"]
 
 
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:

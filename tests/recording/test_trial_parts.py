@@ -136,7 +136,7 @@ def test_a_grasp_has_the_newest_score_by_then() -> None:
 def test_a_known_hash_is_not_computed_again(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fails where a recording of gigabytes is read once more for a hash that the caller has."""
     calls: list[Path] = []
-    monkeypatch.setattr(trials, "sha256_of", lambda path: calls.append(path) or "computed")
+    monkeypatch.setattr(trials, "sha256_of", lambda path, _: calls.append(path) or "computed")
     assert trials.open_trial(TrialSpec("a", demo), CONFIG, "given").sha256 == "given"
     assert calls == []
     assert trials.open_trial(TrialSpec("a", demo), CONFIG).sha256 == "computed"

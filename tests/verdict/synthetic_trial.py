@@ -21,6 +21,7 @@ from dgeval.hindsight.second_pass import Hindsight
 from dgeval.hindsight.smoothing import By, Sighting, smooth
 from dgeval.perception.plane import Plane
 from dgeval.recording.camera import Camera
+from dgeval.recording.closes import CloseKnown
 from dgeval.recording.containers.container import Opened, RawMessage, Topic
 from dgeval.recording.events import Events
 from dgeval.recording.frame_reader import FrameReader, LostFrames
@@ -255,6 +256,7 @@ class Container:
     def __init__(self, models: Sequence[tuple[float, Array]]) -> None:
         self.path = Path("synthetic.mcap")
         self.damage: list[Any] = []
+        self.notes: list[str] = []
         self.topics = (
             {MODEL: Topic(MODEL, "sensor_msgs/msg/PointCloud2", "cdr", None, _cloud)}
             if models
@@ -319,6 +321,7 @@ def trial_of(
     pairs = tuple(Pair(ns(t), k, k) for k, t in enumerate(every(0.05, first, last)))
     robot = robot_states(found, roles, config)
     camera = Camera(Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5), None, None)
+    events = Events(() if close is None else (Event(ns(close), "close", {}),))
     return Trial(
         spec=TrialSpec("synthetic", Path("synthetic.mcap")),
         sha256="",
@@ -328,7 +331,9 @@ def trial_of(
         roles=roles,
         robot=robot,
         window=Window(pairs[0].t_ns, pairs[-1].t_ns, pairs, 0, 0, {}),
-        events=Events(() if close is None else (Event(ns(close), "close", {}),)),
+        events=events,
+        close=CloseKnown(events, None if close is None else "recorded", None),
         reader=FrameReader(opened, COLOUR, DEPTH, pairs, camera, robot, (), LostFrames([])),
+        checks=(),
         notes=(),
     )

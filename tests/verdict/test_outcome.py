@@ -48,6 +48,7 @@ def trial(
     damage: Sequence[str] = (),
     poses: dict[str, list[object]] | None = None,
     hand_joints: str | None = "/joints",
+    missing: str | None = None,
 ) -> Any:
     """A trial whose last frame is `last_s` after the close; the log of the joints is as given."""
     every = [*events, *([Event(CLOSE, "close", {})] if closed else [])]
@@ -61,9 +62,10 @@ def trial(
         scan=SimpleNamespace(
             poses=poses or {}, joints={"/joints": list(joints)}, times={}, twists={}
         ),
-        roles=SimpleNamespace(hand_joints=hand_joints),
+        roles=SimpleNamespace(hand_joints=hand_joints, joints=()),
         config=Config(),
         opened=None,
+        close=SimpleNamespace(missing=missing),
     )
 
 

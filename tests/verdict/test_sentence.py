@@ -41,7 +41,13 @@ CURVE = ((-0.99, False), (-0.03, False), (0.6, False))
 
 def trial(close_ns: int | None = CLOSE) -> Any:
     """From 0 to 4 s, closed at 2.5 s unless said otherwise."""
-    return SimpleNamespace(first_ns=START, last_ns=LAST, close_ns=close_ns)
+    return SimpleNamespace(
+        first_ns=START,
+        last_ns=LAST,
+        close_ns=close_ns,
+        close_missing=None,
+        robot=SimpleNamespace(base_frame="base_link"),
+    )
 
 
 def times(close_ns: int | None = CLOSE, pushed_ns: int | None = None) -> Times:

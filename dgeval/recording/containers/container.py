@@ -52,8 +52,10 @@ class Container(Protocol):
     path: Path
     kind: str
     topics: dict[str, Topic]
-    damage: list[Damage]
     notes: list[str]
+
+    @property
+    def damage(self) -> list[Damage]: ...
 
     @property
     def checksums(self) -> str: ...
@@ -119,16 +121,20 @@ class Opened:
             ) from error
 
 
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file; of a folder over names and contents of its files, in name order."""
-    files = (
-        [path]
-        if path.is_file()
-        else sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3", ".yaml"))
-    )
+def sha256_of(path: Path, parts: tuple[Path, ...] = ()) -> str:
+    """SHA-256 of a file; of a folder over names and contents of its files, in name order.
+
+    parts: files that together are the recording, in order.
+    """
+    kinds = (".mcap", ".db3", ".yaml", ".zstd")
+    files = list(parts)
+    if len(parts) < 2:
+        files = [path]
+        if not path.is_file():
+            files = sorted(p for p in path.iterdir() if p.suffix in kinds)
     digest = hashlib.sha256()
     for file in files:
-        if path.is_dir():
+        if len(files) > 1 or path.is_dir():
             digest.update(file.name.encode() + b"\0")
         with file.open("rb") as stream:
             while block := stream.read(1 << 20):

@@ -11,6 +11,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -73,12 +74,17 @@ class _Chunk:
 
 
 class McapContainer:
-    """An MCAP file. `checksums` says in words which parts have a CRC."""
+    """An MCAP file. `checksums` says in words which parts have a CRC.
+
+    path: as errors name it. compressed_messages: every message is compressed by itself with zstd,
+    as rosbag2's message mode does it.
+    """
 
     kind = "MCAP"
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, compressed_messages: bool = False) -> None:
+        self.path, self._source = path, path
+        self._compressed_messages = compressed_messages
         self.damage: list[Damage] = []
         self.topics: dict[str, Topic] = {}
         self.notes: list[str] = []
@@ -116,7 +122,7 @@ class McapContainer:
 
     def _read_summary(self) -> dict[int, int]:
         """Fill schemas, channels and chunk list from the summary; gives messages by channel id."""
-        with self.path.open("rb") as stream:
+        with self._source.open("rb") as stream:
             header = next(iter(StreamReader(stream, record_size_limit=self._size).records))
             if isinstance(header, mcap.records.Header):
                 self.profile = header.profile
@@ -206,6 +212,8 @@ class McapContainer:
         kind = foxglove.ros_type(name)
         if decode is not None and kind != name:
             decode = foxglove.adapted(name, decode)
+        if self._compressed_messages and decode is not None:
+            decode = partial(_decompress, decode)
         if key == ("cdr", "") and decode is not None:
             self.notes.append(f"{channel.topic} has no definition: {name} is known by its name")
         count = counts.get(channel.id) if counts else None
@@ -232,7 +240,7 @@ class McapContainer:
 
     def _indexed(self, topics: frozenset[str], chunks: list[_Chunk]) -> Iterator[RawMessage]:
         pending: list[RawMessage] = []
-        with self.path.open("rb") as stream:
+        with self._source.open("rb") as stream:
             for i, chunk in enumerate(chunks):
                 try:
                     new = self._read_chunk(stream, chunk.offset, topics)
@@ -317,7 +325,7 @@ class McapContainer:
         """
         last_ns: int | None = None
         offset = 0
-        with self.path.open("rb") as stream:
+        with self._source.open("rb") as stream:
             reader = StreamReader(
                 stream, emit_chunks=True, validate_crcs=True, record_size_limit=self._size
             )
@@ -392,6 +400,10 @@ def _expand(chunk: mcap.records.Chunk) -> bytes:
             f"a chunk claims {size} bytes and expands to {len(data)} or more"
         )
     return bytes(data)
+
+
+def _decompress(decode: Callable[[bytes], Any], data: bytes) -> Any:
+    return decode(zstandard.ZstdDecompressor().decompress(data, MAX_CHUNK_BYTES))
 
 
 def _refuse(why: str, place: Place) -> Callable[[bytes], Any]:

@@ -1,52 +1,120 @@
-"""Chooses the reader of a recording by its first bytes."""
+"""Chooses the reader of a recording by its first bytes, and puts its parts together."""
 
 from __future__ import annotations
 
+import re
+import shutil
+import tempfile
+import weakref
 from pathlib import Path
 
-from dgeval.errors import Place, UnreadableError
-from dgeval.recording.containers.container import MCAP_MAGIC, Opened
+import zstandard
+
+from dgeval.errors import Place, UnreadableError, describe
+from dgeval.recording.containers.container import MCAP_MAGIC, Container, Opened
 
 BAG_MAGIC = b"#ROSBAG V"
-
 SQLITE_MAGIC = b"SQLite format 3\x00"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+STORED = (".mcap", ".db3")  # what a ROS 2 folder holds, also with .zstd behind it
+METADATA = "metadata.yaml"
+MODE = re.compile(r"^\s*compression_mode:\s*\"?(\w*)\"?\s*$", re.MULTILINE)
+LISTED = re.compile(
+    r"^\s*-\s+(?:path:\s*)?\"?([^\s\"]+\.(?:mcap|db3)(?:\.zstd)?)\"?\s*$", re.MULTILINE
+)
 
 
-def open_container(path: Path) -> Opened:
+def open_container(path: Path, parts: tuple[Path, ...] = ()) -> Opened:
     """Open a recording by its content: MCAP, ROS 1 bag, ROS 2 folder or bare .db3.
 
-    UnreadableError says why it can't be opened.
+    parts: files that together are the recording, in order; `path` names them. UnreadableError says
+    why it can't be opened.
     """
+    place = Place(str(path))
+    try:
+        if len(parts) > 1:
+            return Opened(_joined(path, list(parts), ""), path)
+        if not path.exists():
+            raise UnreadableError("no such file or folder", place)
+        if path.is_dir():
+            return Opened(_folder(path), path)
+        return Opened(_file(path, ""), path)
+    except OSError as error:
+        raise UnreadableError(f"can't be opened ({error.strerror})", place) from error
+
+
+def stored_files(folder: Path) -> list[Path]:
+    """The .mcap and .db3 files of a ROS 2 folder, compressed or not, in the recording's order.
+
+    The order is that of metadata.yaml where it lists them all, else that of the numbers at the ends
+    of their names.
+    """
+    files = [p for p in folder.iterdir() if _bare(p).suffix in STORED]
+    metadata = folder / METADATA
+    listed: list[str] = []
+    if metadata.is_file():
+        text = metadata.read_text(encoding="utf-8", errors="replace")
+        listed = [Path(name).name for name in LISTED.findall(text)]
+
+    def key(p: Path) -> tuple[int, int, str]:
+        named = next((k for k, n in enumerate(listed) if n in (p.name, _bare(p).name)), len(listed))
+        number = re.search(r"_(\d+)$", _bare(p).stem)
+        return named, int(number[1]) if number else -1, p.name
+
+    return sorted(files, key=key)
+
+
+def _bare(path: Path) -> Path:
+    """The path without a .zstd at its end."""
+    return path.with_suffix("") if path.suffix == ".zstd" else path
+
+
+def _folder(path: Path) -> Container:
+    """A ROS 2 folder: one file, or several that are one recording by its metadata.yaml."""
+    from dgeval.recording.containers.rosbags import RosbagsContainer
+
+    files = stored_files(path)
+    if not files:
+        raise UnreadableError(
+            "a folder without a .mcap or .db3 file is not a ROS 2 recording", Place(str(path))
+        )
+    metadata = path / METADATA
+    text = metadata.read_text(encoding="utf-8", errors="replace") if metadata.is_file() else ""
+    mode = MODE.search(text)
+    if _bare(files[0]).suffix == ".db3":
+        return RosbagsContainer(path)
+    if len(files) > 1 and not text:
+        raise UnreadableError(
+            f"{len(files)} recordings in one folder, and no metadata.yaml says that they are one",
+            Place(str(path)),
+            "give them one by one, or in a manifest",
+        )
+    return _joined(path, files, mode[1].upper() if mode else "")
+
+
+def _joined(path: Path, files: list[Path], mode: str) -> Container:
+    from dgeval.recording.containers.parts import PartsContainer
+
+    opened = [_file(file, mode) for file in files]
+    return opened[0] if len(opened) == 1 else PartsContainer(path, opened)
+
+
+def _file(path: Path, mode: str) -> Container:
+    """One file by its first bytes. mode: MESSAGE where every message is compressed by itself."""
     from dgeval.recording.containers.mcap import McapContainer
     from dgeval.recording.containers.rosbags import RosbagsContainer
 
     place = Place(str(path))
-    try:
-        if not path.exists():
-            raise UnreadableError("no such file or folder", place)
-        if path.is_dir():
-            inside = sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3"))
-            if len(inside) == 1 and inside[0].suffix == ".mcap":
-                return Opened(McapContainer(inside[0]), path)
-            if not inside:
-                raise UnreadableError(
-                    "a folder without a .mcap or .db3 file is not a ROS 2 recording", place
-                )
-            if any(p.suffix == ".mcap" for p in inside):
-                raise UnreadableError(
-                    f"{len(inside)} recordings in one folder", place, "give the parts as a manifest"
-                )
-            return Opened(RosbagsContainer(path), path)
-        with path.open("rb") as stream:
-            head = stream.read(16)
-        if not head:
-            raise UnreadableError("the file is empty", place)
-        if head.startswith(MCAP_MAGIC):
-            return Opened(McapContainer(path), path)
-        if head.startswith(BAG_MAGIC) or head == SQLITE_MAGIC:
-            return Opened(RosbagsContainer(path), path)
-    except OSError as error:
-        raise UnreadableError(f"can't be opened ({error.strerror})", place) from error
+    with path.open("rb") as stream:
+        head = stream.read(16)
+    if not head:
+        raise UnreadableError("the file is empty", place)
+    if head.startswith(ZSTD_MAGIC):
+        return _decompressed(path, mode)
+    if head.startswith(MCAP_MAGIC):
+        return McapContainer(path, compressed_messages=mode == "MESSAGE")
+    if head.startswith(BAG_MAGIC) or head == SQLITE_MAGIC:
+        return RosbagsContainer(path)
     hint: str | None = None
     if head.startswith(b"version https://"):
         hint = "this is a git-LFS pointer, not the recording: run `git lfs pull`"
@@ -55,3 +123,20 @@ def open_container(path: Path) -> Opened:
     raise UnreadableError(
         "neither MCAP, ROS 1 bag nor ROS 2 SQLite by its first bytes", place, hint
     )
+
+
+def _decompressed(path: Path, mode: str) -> Container:
+    """A file that was compressed as a whole, from a temporary copy that lives with the reader."""
+    folder = tempfile.mkdtemp(prefix="dgeval-")
+    copy = Path(folder) / _bare(path).name
+    try:
+        with path.open("rb") as packed, copy.open("wb") as plain:
+            zstandard.ZstdDecompressor().copy_stream(packed, plain)
+    except zstandard.ZstdError as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        what = f"its zstd compression is damaged ({describe(error)})"
+        raise UnreadableError(what, Place(str(path)), "`zstd -d` may save a part") from error
+    container = _file(copy, mode)
+    container.path = path
+    weakref.finalize(container, shutil.rmtree, folder, ignore_errors=True)
+    return container

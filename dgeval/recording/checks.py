@@ -1,0 +1,135 @@
+"""Consistency checks of a recording: what would give numbers that are wrong without a sign.
+
+Each failed check has a name, a sentence, and the setting that mends it. `inspect` and `replay` run
+the same ones. A check that a team knows of is accepted by name (`checks.accept`); it stays a note.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from dgeval.config import ClockConfig
+from dgeval.recording.frame_reader import FrameReader, LostFrames
+from dgeval.recording.pairing import Window
+from dgeval.recording.robot import RobotStates
+from dgeval.recording.roles import Roles
+from dgeval.recording.scan import Scan
+
+CHECKS = ("clocks", "stamps", "poses", "depth_unit")
+SAMPLED = 3  # frames whose depth is looked at
+# m, between which the middle depth of a manipulation scene lies; ours
+LEAST_DEPTH_M, MOST_DEPTH_M = 0.08, 10.0
+MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
+CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
+LEAST_POSES = 0.5  # share of the frames that must have a camera pose; ours
+MOST_DROPPED = 0.1  # share of a stream whose stamps can't be used; ours
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check that failed: its name, what is wrong, and what mends it."""
+
+    name: str
+    what: str
+    mend: str
+
+    def __str__(self) -> str:
+        return f"check {self.name}: {self.what}; {self.mend}"
+
+
+def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | None, str]:
+    """Whether the camera's clock is that of the robot, by each one's delay to the recorder.
+
+    Also a note where it is off by less, as a slow transport is too; "" without.
+    """
+    camera = _delay(scan, roles.colour, clock.colour.offset_ns)
+    robots = {
+        topic: d
+        for topic in (*roles.joints, "/tf")
+        if (d := _delay(scan, topic, clock.hand_joints.offset_ns)) is not None
+    }
+    if camera is None or not robots:
+        return None, ""
+    topic, robot = max(robots.items(), key=lambda item: abs(item[1] - camera))
+    apart = camera - robot
+    if abs(apart) <= CLOCKS_TOLD_S:
+        return None, ""
+    side = "behind" if apart > 0 else "ahead of"
+    what = f"the camera's stamps are {abs(apart):.2f} s {side} those of {topic}, by the recorder"
+    colour, depth = (round(apart * 1e9) + c.offset_ns for c in (clock.colour, clock.depth))
+    mend = f"set clock.colour.offset_ns={colour} and clock.depth.offset_ns={depth}"
+    if abs(apart) <= MOST_CLOCKS_APART_S:
+        return None, f"{what}; if that is no delay of the images: {mend}"
+    return Check("clocks", what, mend), ""
+
+
+def _delay(scan: Scan, topic: str | None, offset_ns: int) -> float | None:
+    """Median log time less header time of a topic, s; None where its stamps are not kept."""
+    if topic is None or topic not in scan.times:
+        return None
+    header, log = scan.times[topic].arrays()
+    if topic == "/tf":
+        stamps = np.array([e.t_ns for e in scan.tf], dtype=np.int64)
+        if len(stamps) < 5 or not len(log):
+            return None
+        return float(np.median(log) - np.median(stamps) - offset_ns) * 1e-9
+    if len(header) != len(log) or not len(log) or not header.any():
+        return None
+    return float(np.median(log - header - offset_ns)) * 1e-9
+
+
+def failed_checks(
+    scan: Scan,
+    roles: Roles,
+    robot: RobotStates,
+    window: Window,
+    reader: FrameReader,
+    clock: ClockConfig,
+) -> tuple[list[Check], list[str]]:
+    """The checks that fail, and notes on what is near to failing."""
+    failed: list[Check] = []
+    clocks, note = clock_check(scan, roles, clock)
+    if clocks is not None:
+        failed.append(clocks)
+    for role, faults in sorted(window.stamp_faults.items()):
+        count = len(scan.times[getattr(roles, role)].log_ns)
+        if faults.dropped > MOST_DROPPED * count:
+            what = f"{faults.dropped} of {count} {role} images have stamps out of order"
+            failed.append(
+                Check("stamps", f"{what} and are not used", "see `dgeval inspect` for its clock")
+            )
+    if robot.base_frame is not None:
+        times = [p.t_ns for p in window.pairs]
+        known = sum(robot.T_base_camera(t) is not None for t in times)
+        if known < LEAST_POSES * len(times):
+            what = f"the camera's pose in {robot.base_frame!r} is known in {known} of {len(times)}"
+            mend = "look at the times of /tf or joint states in `dgeval inspect`; clock.*.offset_ns"
+            failed.append(Check("poses", f"{what} frames", mend))
+    unit = _depth_unit(reader)
+    if unit is not None:
+        failed.append(unit)
+    return failed, [note] if note else []
+
+
+def _depth_unit(reader: FrameReader) -> Check | None:
+    """Whether the depth of the first frames can be metres."""
+    quiet = replace(reader, lost=LostFrames([]))
+    depths = [f.depth[f.depth > 0] for f in islice(quiet.frames(), SAMPLED)]
+    readings = np.concatenate(depths) if depths else np.zeros(0)
+    if not len(readings):
+        return None
+    middle = float(np.median(readings))
+    if LEAST_DEPTH_M <= middle <= MOST_DEPTH_M:
+        return None
+    scale = reader.camera.depth_scale
+    stated = "as the file says it" if scale is None else f"with calibration.depth_scale={scale:g}"
+    factor = 1e-3 if middle > MOST_DEPTH_M else 1e3
+    proposed = f"{(scale or 1.0) * factor:g}"
+    return Check(
+        "depth_unit",
+        f"the middle depth of the first frames is {middle:.3g} m {stated}, which no scene has",
+        f"set calibration.depth_scale, in m per unit (millimetres in floats: {proposed})",
+    )

@@ -1,0 +1,446 @@
+"""The demo recording as other people's robots would have written it: read as the original, or told.
+
+Catches: a packaging that is refused though nothing is lost, frames or poses that differ from the
+original's, and a fault of the packaging that nobody is told of.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import zstandard
+from dgeval.config import Config, load_config
+from dgeval.errors import UnreadableError
+from dgeval.recording.image_codecs import rvl
+from dgeval.recording.manifest import find_trials
+from dgeval.recording.trials import Trial, open_trial
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.typesys import Stores, get_typestore
+
+STORE, ROS1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
+TYPES = STORE.types
+COLOUR = "/camera/color/image_raw/compressed"
+DEPTH = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
+INFO, JOINTS, EVENTS = "/camera/color/camera_info", "/joint_states", "/dgeval/events"
+Message = list[Any]  # log time ns, topic, type, message
+
+
+@pytest.fixture(scope="module")
+def messages(demo: Path) -> list[Message]:
+    """The demo's messages but the truth."""
+    out = []
+    with demo.open("rb") as stream:
+        for schema, channel, m in make_reader(stream).iter_messages():
+            if schema is not None and not channel.topic.startswith("/truth/"):
+                value = STORE.deserialize_cdr(m.data, schema.name)
+                out.append([m.log_time, channel.topic, schema.name, value])
+    return out
+
+
+def write(
+    path: Path, listed: list[Message], schema: Callable[[str], tuple[str, bytes]] | None = None
+) -> Path:
+    """An MCAP as rosbag2 writes it; schema gives a type's (encoding, text)."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="test")
+        schemas: dict[str, int] = {}
+        channels: dict[str, int] = {}
+        for log_ns, topic, kind, value in sorted(listed, key=lambda m: m[0]):
+            if kind not in schemas:
+                text = STORE.generate_msgdef(kind, ros_version=2)[0].encode()
+                encoding, data = schema(kind) if schema else ("ros2msg", text)
+                schemas[kind] = writer.register_schema(kind, encoding, data)
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
+            data = bytes(STORE.serialize_cdr(value, kind))
+            writer.add_message(channels[topic], log_ns, data, log_ns)
+        writer.finish()
+    return path
+
+
+def opened(path: Path, *settings: str) -> Trial:
+    config = load_config("dynamic", settings) if settings else Config()
+    return open_trial(find_trials([path])[0], config)
+
+
+def contents(trial: Trial, every: int = 8) -> list[tuple[Any, ...]]:
+    """Stamp, sums of the pixels and camera pose of some frames."""
+    return [
+        (
+            f.t_ns,
+            int(f.colour.sum()),
+            float(f.depth.sum()),
+            None if f.T_base_camera is None else np.round(f.T_base_camera, 6).tolist(),
+        )
+        for f in trial.frames()
+        if f.index % every == 0
+    ]
+
+
+@pytest.fixture(scope="module")
+def original(demo: Path) -> list[tuple[Any, ...]]:
+    return contents(opened(demo))
+
+
+def depth_codes(message: Any) -> np.ndarray:
+    data = np.asarray(message.data, np.uint8)[12:]
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
+
+
+def header(like: Any, frame: str | None = None) -> Any:
+    out = copy.deepcopy(like.header)
+    out.frame_id = frame or out.frame_id
+    return out
+
+
+def image(like: Any, pixels: np.ndarray, encoding: str, frame: str | None = None) -> Any:
+    pixels = np.ascontiguousarray(pixels)
+    return TYPES["sensor_msgs/msg/Image"](
+        header=header(like, frame),
+        height=pixels.shape[0],
+        width=pixels.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=pixels.strides[0],
+        data=pixels.view(np.uint8).reshape(-1),
+    )
+
+
+def rvl_words(codes: np.ndarray) -> bytes:
+    """Wilson's run-length code, written out plainly."""
+    nibbles: list[int] = []
+
+    def put(value: int) -> None:
+        while True:
+            low, value = value & 7, value >> 3
+            nibbles.append(low | (8 if value else 0))
+            if not value:
+                return
+
+    pixels, i, previous = codes.ravel().tolist(), 0, 0
+    while i < len(pixels):
+        for zeros in (True, False):
+            first = i
+            while i < len(pixels) and (pixels[i] == 0) == zeros:
+                i += 1
+            put(i - first)
+        for value in pixels[first:i]:
+            difference = value - previous
+            put((difference << 1) ^ (difference >> 31))
+            previous = value
+    nibbles += [0] * (-len(nibbles) % 8)
+    words = [sum(n << (28 - 4 * k) for k, n in enumerate(nibbles[j : j + 8]))
+             for j in range(0, len(nibbles), 8)]  # fmt: skip
+    return struct.pack(f"<{len(words)}I", *words)
+
+
+# nothing is lost
+
+
+@pytest.mark.parametrize("encoding", ["", "ros2idl"])
+def test_standard_types_are_known_by_name(
+    tmp_path: Path, messages: list[Message], original: list[Any], encoding: str
+) -> None:
+    """Catches the empty definition that rosbag2 writes where a package is not installed."""
+    trial = opened(write(tmp_path / "a.mcap", messages, lambda _: (encoding, b"")))
+    assert contents(trial) == original
+    assert any("known by its name" in n for n in trial.notes) == (encoding == "")
+
+
+def test_depth_as_rvl(tmp_path: Path, messages: list[Message], original: list[Any]) -> None:
+    """Catches runs, signs and nibbles in another order than image_transport's."""
+    made = [list(m) for m in messages]
+    for m in made:
+        if m[1] == DEPTH:
+            codes, old = depth_codes(m[3]), m[3]
+            size = struct.pack("<ii", codes.shape[1], codes.shape[0])
+            m[3] = copy.copy(old)
+            m[3].format = "16UC1; compressedDepth rvl"
+            m[3].data = np.frombuffer(bytes(12) + size + rvl_words(codes), np.uint8)
+    assert contents(opened(write(tmp_path / "a.mcap", made))) == original
+
+
+@pytest.mark.parametrize("damage", [b"", b"\xff" * 40, b"\x00" * 3])
+def test_rvl_that_ends_early_or_runs_over_is_refused(damage: bytes) -> None:
+    """Catches a loop that never ends, and a write behind the image."""
+    with pytest.raises(ValueError, match="do not hold 100 readings"):
+        rvl.decode(damage, 100)
+
+
+def test_splits_are_one_recording(
+    tmp_path: Path, messages: list[Message], original: list[Any]
+) -> None:
+    """Catches the second part without its latched topics, and parts in the order of their names."""
+    begin = min(m[0] for m in messages)
+    latched: set[str] = set()
+    parts: list[list[Message]] = [[], [], []]
+    for m in sorted(messages, key=lambda m: m[0]):
+        if m[1] == INFO and m[1] in latched:
+            continue
+        latched.add(m[1])
+        parts[min(2, int((m[0] - begin) // 1_600_000_000))].append(m)
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    names = ["bag_0.mcap", "bag_1.mcap", "bag_10.mcap"]
+    for name, part in zip(names, parts, strict=True):
+        write(folder / name, part)
+    listed = "\n".join(f"    - path: {n}" for n in names)
+    (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  files:\n{listed}\n")
+    assert contents(opened(folder)) == original
+
+
+def test_a_compressed_file_is_read_and_not_left_out(
+    tmp_path: Path, messages: list[Message], original: list[Any]
+) -> None:
+    folder = tmp_path / "day" / "trial_b"
+    folder.mkdir(parents=True)
+    plain = write(folder / "b_0.mcap", messages)
+    packed = zstandard.ZstdCompressor().compress(plain.read_bytes())
+    (folder / "b_0.mcap.zstd").write_bytes(packed)
+    plain.unlink()
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
+    (specs,) = find_trials([tmp_path / "day"])
+    assert contents(open_trial(specs, Config())) == original
+
+
+def test_a_recording_that_can_not_be_opened_is_named(tmp_path: Path) -> None:
+    """Catches a bag that the recorder did not finish, left out of a folder in silence."""
+    (tmp_path / "a.bag.active").write_bytes(b"#ROSBAG V2.0\n" + bytes(5000))
+    (spec,) = find_trials([tmp_path])
+    assert spec.id == "a"
+    with pytest.raises(UnreadableError):
+        open_trial(spec, Config())
+
+
+def test_arm_and_hand_on_topics_of_their_own(
+    tmp_path: Path, messages: list[Message], original: list[Any]
+) -> None:
+    """Catches the joints of one driver dropped."""
+    made = []
+    for log_ns, topic, kind, value in messages:
+        if topic != JOINTS:
+            made.append([log_ns, topic, kind, value])
+            continue
+        half = len(value.name) // 2
+        for name, part in (("/arm", slice(0, half)), ("/hand", slice(half, None))):
+            some = copy.deepcopy(value)
+            some.name = value.name[part]
+            some.position = value.position[part]
+            some.velocity, some.effort = value.velocity[part], value.effort[part]
+            made.append([log_ns, name + JOINTS, kind, some])
+    trial = opened(write(tmp_path / "a.mcap", made))
+    assert contents(trial) == original
+    assert trial.roles.joints == ("/arm/joint_states", "/hand/joint_states")
+
+
+@pytest.mark.parametrize("unit", [0.001, 0.0001])
+def test_the_depth_unit_that_librealsense_writes_behind_an_image(
+    tmp_path: Path, messages: list[Message], original: list[Any], unit: float
+) -> None:
+    """Catches "damage" for bytes that ROS 1's own reader ignores, and the unit in them unread."""
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as bag:
+        known: dict[str, Any] = {}
+        for log_ns, topic, kind, value in sorted(messages, key=lambda m: m[0]):
+            name, tail = topic, b""
+            if topic == DEPTH:
+                codes = np.round(depth_codes(value) * (0.001 / unit)).astype(np.uint16)
+                name, kind = "/camera/depth/image", "sensor_msgs/msg/Image"
+                value, tail = image(value, codes, "mono16"), struct.pack("<f", unit)
+            if name not in known:
+                known[name] = bag.add_connection(name, kind, typestore=ROS1)
+            data = bytes(STORE.cdr_to_ros1(STORE.serialize_cdr(value, kind), kind))
+            bag.write(known[name], log_ns, data + tail)
+    trial = opened(path)
+    assert trial.damage == []
+    for found, right in zip(contents(trial), original, strict=True):
+        assert found[:2] == right[:2]
+        assert found[2] == pytest.approx(right[2], rel=1e-5)
+
+
+def test_a_rectified_picture_has_the_matrix_p(
+    tmp_path: Path, messages: list[Message], original: list[Any]
+) -> None:
+    """Catches K of the raw picture, 15 % shorter here, and a word on distortion."""
+    made = [[m[0], m[1].replace("image_raw", "image_rect"), m[2], m[3]] for m in messages]
+    right = None
+    for m in made:
+        if m[2].endswith("CameraInfo"):
+            m[3] = copy.deepcopy(m[3])
+            right = float(m[3].k[0])
+            m[3].k[0] *= 0.85
+            m[3].d = np.array([-0.2, 0.03, 0.0, 0.0, 0.0])
+    trial = opened(write(tmp_path / "a.mcap", made))
+    assert trial.camera.fx == right
+    assert contents(trial) == original
+    assert not any("distortion" in n for n in trial.notes)
+
+
+def test_binning_and_region_of_interest(tmp_path: Path, messages: list[Message]) -> None:
+    """Catches intrinsics of the sensor's picture for the smaller one that is published."""
+    made = [list(m) for m in messages]
+    for m in made:
+        if m[2].endswith("CameraInfo"):
+            m[3] = copy.deepcopy(m[3])
+            right = (m[3].k[0], m[3].k[2])
+            # twice the picture, of which every second pixel from column 40 on is published
+            m[3].k[[0, 2, 4, 5]] *= 2
+            m[3].k[[2, 5]] += 0.5
+            m[3].k[2] += 40
+            m[3].width, m[3].height = 2 * m[3].width + 80, 2 * m[3].height
+            m[3].binning_x = m[3].binning_y = 2
+            m[3].roi.x_offset, m[3].roi.width = 40, m[3].width - 80
+            m[3].roi.height = m[3].height
+    camera = opened(write(tmp_path / "a.mcap", made)).camera
+    assert (camera.fx, camera.cx) == pytest.approx(right)
+
+
+def test_depth_of_its_own_camera_is_brought_into_colour(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Catches depth read with the wrong lens: a plane 0.5 m ahead, seen from 30 mm beside."""
+    transform = TYPES["geometry_msgs/msg/TransformStamped"]
+    made = []
+    for log_ns, topic, kind, value in messages:
+        if topic == DEPTH:
+            far = image(value, np.full((120, 200), 500, np.uint16), "16UC1", "depth_optical")
+            made.append([log_ns, "/camera/depth/image_rect_raw", "sensor_msgs/msg/Image", far])
+            continue
+        made.append([log_ns, topic, kind, value])
+        if topic == INFO:
+            info = copy.deepcopy(value)
+            info.header.frame_id, info.width, info.height = "depth_optical", 200, 120
+            info.k = np.array([90.0, 0, 99.5, 0, 90.0, 59.5, 0, 0, 1])
+            info.p = np.array([90.0, 0, 99.5, 0, 0, 90.0, 59.5, 0, 0, 0, 1, 0])
+            made.append([log_ns, "/camera/depth/camera_info", kind, info])
+            one = transform(
+                header=header(value),
+                child_frame_id="depth_optical",
+                transform=TYPES["geometry_msgs/msg/Transform"](
+                    translation=TYPES["geometry_msgs/msg/Vector3"](x=0.03, y=0.0, z=0.1),
+                    rotation=TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+                ),
+            )
+            message = TYPES["tf2_msgs/msg/TFMessage"](transforms=[one])
+            made.append([log_ns, "/tf_static", "tf2_msgs/msg/TFMessage", message])
+    trial = opened(write(tmp_path / "a.mcap", made))
+    frame = next(iter(trial.frames()))
+    c = trial.camera
+    inside = frame.depth > 0
+    assert np.unique(frame.depth[inside]) == pytest.approx([0.6])
+    # the depth image's left and right edges, in the colour image
+    x = (np.array([-0.5, 199.5]) - 99.5) / 90.0 * 0.5 + 0.03
+    left, right = np.clip(x / 0.6 * c.fx + c.cx, 0, c.width - 1)
+    columns = np.flatnonzero(inside.any(axis=0))
+    assert (columns[0], columns[-1]) == pytest.approx((left, right), abs=1.01)
+    rows = inside[:, columns[2] : columns[-2]]
+    assert rows[np.flatnonzero(rows.any(axis=1))[2:-2]].all(), "no holes between the pixels"
+    assert any("is brought into the colour camera" in n for n in trial.notes)
+
+
+# told
+
+
+def test_depth_that_can_not_be_aligned_is_refused(tmp_path: Path, messages: list[Message]) -> None:
+    made = []
+    for log_ns, topic, kind, value in messages:
+        if topic == DEPTH:
+            value = image(value, np.full((120, 200), 500, np.uint16), "16UC1", "depth_optical")
+            topic, kind = "/camera/depth/image_rect_raw", "sensor_msgs/msg/Image"
+        made.append([log_ns, topic, kind, value])
+    with pytest.raises(UnreadableError, match=r"is not aligned to colour.*T_colour_depth"):
+        opened(write(tmp_path / "a.mcap", made))
+
+
+def test_depth_in_another_unit_fails_a_check(tmp_path: Path, messages: list[Message]) -> None:
+    """Catches millimetres in floats, read as metres; and a scale that floats ignore."""
+    made = []
+    for log_ns, topic, kind, value in messages:
+        if topic == DEPTH:
+            value = image(value, depth_codes(value).astype(np.float32), "32FC1")
+            topic, kind = "/camera/depth/image", "sensor_msgs/msg/Image"
+        made.append([log_ns, topic, kind, value])
+    path = write(tmp_path / "a.mcap", made)
+    (check,) = opened(path).checks
+    assert check.name == "depth_unit"
+    assert "0.001" in check.mend
+    assert opened(path, "calibration.depth_scale=0.001").checks == ()
+
+
+def test_a_camera_with_a_clock_of_its_own(tmp_path: Path, messages: list[Message]) -> None:
+    """Catches a run without poses, and an offset of the wrong sign."""
+    made = []
+    for log_ns, topic, kind, value in messages:
+        if topic == EVENTS:
+            continue
+        if topic in (COLOUR, DEPTH, INFO):
+            value = copy.deepcopy(value)
+            value.header.stamp.sec -= 111
+        made.append([log_ns, topic, kind, value])
+    path = write(tmp_path / "a.mcap", made)
+    names = [c.name for c in opened(path).checks]
+    assert names == ["clocks", "poses"]
+    mend = opened(path).checks[0].mend.removeprefix("set ").split(" and ")
+    assert opened(path, *mend).checks == ()
+
+
+def test_one_stamp_ahead_costs_one_image(tmp_path: Path, messages: list[Message]) -> None:
+    """Catches everything after a glitch dropped."""
+    made = [list(m) for m in messages]
+    (glitch,) = [m for m in made if m[1] == COLOUR][10:11]
+    glitch[3] = copy.deepcopy(glitch[3])
+    glitch[3].header.stamp.sec += 4
+    trial = opened(write(tmp_path / "a.mcap", made))
+    assert len(trial.pairs) == 67
+    assert any("1 backward" in n for n in trial.notes)
+    assert trial.checks == ()
+
+
+def test_a_log_without_events_tells_the_close_by_the_fingers(
+    tmp_path: Path, messages: list[Message], demo: Path
+) -> None:
+    """Catches "no grasp" from the lack of a topic that nobody else writes."""
+    path = write(tmp_path / "a.mcap", [m for m in messages if m[1] != EVENTS])
+    trial = opened(path)
+    recorded = opened(demo).event_ns("close")
+    assert recorded is not None
+    assert trial.close.source == "inferred"
+    assert trial.event_ns("close") == pytest.approx(recorded, abs=50_000_000)
+    still = [m for m in messages if m[1] not in (EVENTS, JOINTS)]
+    unknown = opened(write(tmp_path / "b.mcap", still)).close
+    assert unknown.source is None
+    assert unknown.missing is not None
+    assert "--close TIME" in unknown.missing
+
+
+@pytest.mark.parametrize(
+    ("written", "label"),
+    [
+        ('{"event": "label", "label": "Success"}', "success"),
+        ('{"event": "label", "label": "fail"}', "failure"),
+        ("failed", "failure"),
+        ('{"event": "label", "label": "maybe"}', None),
+    ],
+)
+def test_an_operators_words(
+    tmp_path: Path, messages: list[Message], written: str, label: str | None
+) -> None:
+    """Catches a label that is dropped for its spelling, or because it is not JSON."""
+    from dgeval.verdict.log import log_of
+
+    made = [list(m) for m in messages]
+    for m in made:
+        if m[1] == EVENTS and json.loads(m[3].data)["event"] == "label":
+            m[3] = TYPES["std_msgs/msg/String"](data=written)
+    assert log_of(opened(write(tmp_path / "a.mcap", made))).label == label
