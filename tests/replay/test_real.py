@@ -54,7 +54,7 @@ def test_the_mug_is_followed_until_it_leaves_then_lost(mug: Path) -> None:
     assert table["model_px"].isna().all()
     assert table["velocity_x"].isna().all()
     trial = pd.read_parquet(mug / "trials.parquet").iloc[0]
-    assert trial["outcome"] == "no_grasp"
+    assert trial["outcome"] == "unknown"
     assert "no usable depth" in trial["notes"]
 
 
