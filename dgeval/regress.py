@@ -34,10 +34,8 @@ def dataset_of(specs: Iterable[TrialSpec], inputs: dict[str, str]) -> dict[str, 
     inputs: SHA-256 by trial. Path and name of a recording are no part of the identity. The result's
     `sha256` is over all of it.
     """
-    trials = {
-        s.id: {k: v for k, v in asdict(s).items() if k not in ("recording", "sha256")}
-        for s in specs
-    }
+    outside = ("recording", "sha256", "parts")
+    trials = {s.id: _said({k: v for k, v in asdict(s).items() if k not in outside}) for s in specs}
     about = {
         "trials": json.loads(json.dumps(trials, default=str)),
         "inputs": dict(sorted(inputs.items())),
@@ -46,6 +44,11 @@ def dataset_of(specs: Iterable[TrialSpec], inputs: dict[str, str]) -> dict[str, 
         **about,
         "sha256": hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest(),
     }
+
+
+def _said(entry: dict[str, Any]) -> dict[str, Any]:
+    """A manifest's entry without what it does not say, so that a new field changes no old entry."""
+    return {k: v for k, v in entry.items() if v is not None}
 
 
 def write_baseline(
@@ -113,17 +116,19 @@ def check_dataset(about: dict[str, Any], dataset: str, specs: list[TrialSpec], p
             Place(str(path)),
         )
     now = dataset_of(specs, {})["trials"]
-    for trial in sorted(set(now) | set(about["trials"])):
-        if now.get(trial) == about["trials"].get(trial):
+    before = {trial: _said(entry) for trial, entry in about["trials"].items()}
+    for trial in sorted(set(now) | set(before)):
+        if now.get(trial) == before.get(trial):
             continue
-        if trial not in now or trial not in about["trials"]:
+        if trial not in now or trial not in before:
             where = "the baseline" if trial not in now else "the data set"
             raise UsageError(
                 f"trial {trial} is only in {where}",
                 Place(str(path)),
                 "make the baseline again with --update",
             )
-        fields = [k for k in now[trial] if now[trial][k] != about["trials"][trial].get(k)]
+        keys = sorted(now[trial].keys() | before[trial].keys())
+        fields = [k for k in keys if now[trial].get(k) != before[trial].get(k)]
         what = f"trial {trial}: {', '.join(fields)} of the manifest changed since the baseline"
         raise UsageError(what, Place(str(path)), "make the baseline again with --update")
 
