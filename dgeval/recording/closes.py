@@ -73,7 +73,9 @@ def close_of(
     if lift_ns is not None:
         events = _with(events, LIFT_EVENT, lift_ns)
     if given_ns is not None:
-        return CloseKnown(_with(events, CLOSE_EVENT, given_ns), "given", None)
+        at = (given_ns - first_ns) * 1e-9
+        note = f"the close at {at:+.2f} s is as given, not as recorded"
+        return CloseKnown(_with(events, CLOSE_EVENT, given_ns), "given", None, note)
     if events.first_ns(CLOSE_EVENT) is not None:
         return CloseKnown(events, "recorded", None)
     if events.first_ns(TRIAL_END_EVENT) is not None:

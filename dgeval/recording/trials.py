@@ -141,7 +141,7 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     grasps, lost = recorded_grasps(scanned), LostFrames(opened.damage)
     reader = FrameReader(opened, colour, depth, window.pairs, camera, robot, grasps, lost)
     checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock)
-    notes += [*hints, *(str(c) for c in checks)]
+    notes += [*([close.note] if close.note else []), *hints, *(str(c) for c in checks)]
     return Trial(
         replace(spec, start_ns=window.start_ns, end_ns=window.end_ns),
         sha256,
