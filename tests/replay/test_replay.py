@@ -140,6 +140,7 @@ def digests(folder: Path) -> list[list[str]]:
     return table[DIGESTS].to_numpy().tolist()
 
 
+@pytest.mark.slow
 def test_same_digests_for_any_jobs_name_and_repetition(
     dgeval: Run, demo: Path, two_trials: Path, tmp_path: Path
 ) -> None:
@@ -182,6 +183,7 @@ def test_same_digests_for_any_jobs_name_and_repetition(
     assert other[0] == outs[0][0][0]
 
 
+@pytest.mark.slow
 def test_finished_trials_are_kept_and_interrupted_ones_done_again(
     dgeval: Run, two_trials: Path, tmp_path: Path
 ) -> None:
@@ -252,6 +254,7 @@ def test_a_box_in_a_later_frame_starts_there(demo: Path, dgeval: Run, tmp_path: 
     assert (table["tracking"] == "tracked").sum() == 4
 
 
+@pytest.mark.slow
 def test_box_tracker_runs_the_same_path(dgeval: Run, demo: Path, tmp_path: Path) -> None:
     """Catches stages that need the model tracker's pose: CSRT gives only a box."""
     done = dgeval(

@@ -89,6 +89,7 @@ def truth(campaign: Campaign, wanted: Plan) -> Truth:
 # --- the rule of truth on constructed cases
 
 
+@pytest.mark.slow
 def test_close_too_early_is_timing(campaign: Campaign) -> None:
     """Catches a close two seconds early that is not called timing, or whose shift is wrong."""
     proved = truth(campaign, plan("mug", Faults(close_shift=-2.0)))
@@ -129,6 +130,7 @@ def test_offset_that_no_close_time_can_save_is_imprecise(campaign: Campaign) -> 
     )
 
 
+@pytest.mark.slow
 def test_sweep_that_knocks_the_object_off_its_path_is_collision(campaign: Campaign) -> None:
     """Catches a push that is the cause and does not count."""
     proved = truth(campaign, plan("mug", Faults(descent=6.0), home_y=-0.27))
@@ -137,6 +139,7 @@ def test_sweep_that_knocks_the_object_off_its_path_is_collision(campaign: Campai
     assert proved.facts.put_back
 
 
+@pytest.mark.slow
 def test_harmless_contact_in_a_success_has_no_class(campaign: Campaign) -> None:
     """Catches contact alone taken for a collision."""
     proved = truth(campaign, plan("pudding_box", Faults(descent=6.0), home_y=-0.13))
@@ -223,6 +226,7 @@ def hashes(folder: Path) -> dict[str, str]:
     return {p.name: sha256_of(p) for p in sorted(folder.glob("*.mcap"))}
 
 
+@pytest.mark.slow
 def test_recordings_are_the_same_bytes_for_any_number_of_workers(tiny: Path, dgeval: Run) -> None:
     assert (
         dgeval("simulate", tiny / "tiny.toml", "--out", tiny / "b", "--jobs", "2").returncode == 0
@@ -232,6 +236,7 @@ def test_recordings_are_the_same_bytes_for_any_number_of_workers(tiny: Path, dge
     assert (tiny / "a" / "tiny.toml").read_bytes() == (tiny / "b" / "tiny.toml").read_bytes()
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_recordings(tiny: Path, dgeval: Run) -> None:
     done = dgeval(
         "simulate",
@@ -250,12 +255,14 @@ def test_another_seed_gives_other_recordings(tiny: Path, dgeval: Run) -> None:
     assert not set(hashes(tiny / "seed").values()) & set(hashes(tiny / "a").values())
 
 
+@pytest.mark.slow
 def test_a_finished_campaign_is_kept(tiny: Path, dgeval: Run) -> None:
     before = {p: p.stat().st_mtime_ns for p in (tiny / "a").glob("*.mcap")}
     assert dgeval("simulate", tiny / "tiny.toml", "--out", tiny / "a").returncode == 0
     assert before == {p: p.stat().st_mtime_ns for p in (tiny / "a").glob("*.mcap")}
 
 
+@pytest.mark.slow
 def test_bag_and_db3_replay_as_mcap_does(tiny: Path, dgeval: Run) -> None:
     digests = []
     for kind in ("mcap", "bag", "db3"):
@@ -355,6 +362,7 @@ def smoke_run(dgeval: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_smoke_is_replayed_near_the_truth(smoke_run: Path) -> None:
     from benchmarks.truth import errors_against_truth
 
@@ -390,6 +398,7 @@ def test_manifest_says_what_it_was_made_from() -> None:
 # --- meshes, rendered perception
 
 
+@pytest.mark.slow
 def test_meshes_become_objects_and_millimetres_are_refused(tmp_path: Path) -> None:
     import trimesh
 

@@ -12,6 +12,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -27,6 +29,7 @@ def test_review_is_accepted_by_rerun_and_small(demo_run: Path, demo: Path) -> No
     assert file.stat().st_size < demo.stat().st_size
 
 
+@pytest.mark.slow
 def test_review_content_is_the_same_twice(
     demo_run: Path, demo: Path, dgeval: Run, tmp_path: Path
 ) -> None:

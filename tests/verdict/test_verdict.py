@@ -211,6 +211,7 @@ def verdict_on(
     return truth.failure_class, decided(modelled(run, world), method=method)
 
 
+@pytest.mark.slow
 def test_twin_finds_a_close_that_came_too_early(tmp_path: Path) -> None:
     true, decision = verdict_on(tmp_path, Faults(close_shift=-2.0), "mug")
     assert true == "timing"
