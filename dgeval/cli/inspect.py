@@ -33,9 +33,9 @@ def inspect(
     from dgeval.errors import EXIT_DATA_LOST, EXIT_OK
     from dgeval.recording.inspection import inspect_recording
 
-    inspection = inspect_recording(path, load_config(pipeline, tuple(set_ or ())))
-    accepted = load_config(pipeline, tuple(set_ or ())).checks.accept
-    failed = [c for c in inspection["checks"] if c["name"] not in accepted]
+    config = load_config(pipeline, tuple(set_ or ()))
+    inspection = inspect_recording(path, config)
+    failed = [c for c in inspection["checks"] if c["name"] not in config.checks.accept]
     code = EXIT_DATA_LOST if inspection["damage"] or failed else EXIT_OK
     for damage in inspection["damage"]:
         typer.echo(f"damage: {damage}", err=True)

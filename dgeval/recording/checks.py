@@ -18,7 +18,6 @@ from dgeval.recording.robot import RobotStates
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
 
-CHECKS = ("clocks", "stamps", "poses", "depth_unit")
 SAMPLED = 3  # frames whose depth is looked at
 # m, between which the middle depth of a manipulation scene lies; ours
 LEAST_DEPTH_M, MOST_DEPTH_M = 0.08, 10.0

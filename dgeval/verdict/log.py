@@ -56,8 +56,7 @@ class TrialLog:
     first_ns, last_ns: first and last pair of images. limit_ns: where a manifest ends the trial.
     close_ns: the close command. close_missing: why no close is known, where that does not mean that
     there was none. label: an operator's, success or failure. ended: the robot wrote that the trial
-    ended.
-    damaged: not all of the recording can be read. hand_samples: joint states that hold the
+    ended. damaged: not all of the recording can be read. hand_samples: joint states that hold the
     fingers, in their own clock. max_gap_ns: longest gap in joint states that is interpolated.
     servo_gain: 1/s, of the robot's position servo, as configured.
     """
