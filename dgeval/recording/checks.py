@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from dgeval.recording.pairing import Window
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
+from dgeval.recording.splits import unread_part
 
 SAMPLED = 3  # frames whose depth is looked at
 # m, between which the middle depth of a manipulation scene lies; ours
@@ -111,6 +113,20 @@ def failed_checks(
     if unit is not None:
         failed.append(unit)
     return failed, [note] if note else []
+
+
+def part_check(recording: Path) -> list[Check]:
+    """Whether the recording is a part of one that its recorder split, and the rest is not read."""
+    other = unread_part(recording)
+    if other is None:
+        return []
+    return [
+        Check(
+            "parts",
+            f"{other.name} beside it is a part of the same recording, and is not read",
+            "give all parts, or their folder",
+        )
+    ]
 
 
 def _depth_unit(reader: FrameReader) -> Check | None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,12 +21,11 @@ from dgeval.recording.contract import (
     label_of,
 )
 from dgeval.recording.messages import event_of
+from dgeval.recording.splits import split_recordings
 
 SUFFIXES = (".mcap", ".bag", ".db3")
 PACKED = (".zstd", ".zst", ".active")  # behind one of these: compressed as a whole, or unfinished
 NO_RECORDING = (".rrd", ".parquet", ".json", ".toml", ".yaml", ".py", ".md")
-SPLIT_BAG = re.compile(r"(?P<stem>.*?)(?:_\d{4}(?:-\d\d){5})?_(?P<k>\d+)\.bag")
-SPLIT_GAP_NS = 2_000_000_000  # ns, at most between two parts of a bag that was split; ours
 
 
 class _ManifestTrial(BaseModel):
@@ -106,8 +103,12 @@ def find_trials(paths: list[Path], events_topic: str | None = None) -> list[Tria
     UsageError, UnreadableError.
     """
     specs: list[TrialSpec] = []
-    for path in paths:
-        if path.suffix == ".toml":
+    for parts in split_recordings(paths):
+        path = parts[0]
+        if len(parts) > 1:
+            name = path.stem[: -len("_0")]
+            specs.extend(_of_recording(path, name, events_topic, parts))
+        elif path.suffix == ".toml":
             specs.extend(_from_manifest(path))
         elif path.is_dir() and not _is_recording(path):
             specs.extend(_in_folder(path, events_topic))
@@ -142,7 +143,7 @@ def _in_folder(folder: Path, events_topic: str | None) -> list[TrialSpec]:
             "no recording (.mcap, .bag, .db3) below this folder", Place(str(folder))
         )
     out = []
-    for parts in _split_bags(inside):
+    for parts in split_recordings(inside):
         first = parts[0]
         relative = first.relative_to(folder)
         name = str(relative)
@@ -155,39 +156,6 @@ def _in_folder(folder: Path, events_topic: str | None) -> list[TrialSpec]:
         except UnreadableError:
             out.append(TrialSpec(name, first))
     return out
-
-
-def _split_bags(paths: list[Path]) -> list[tuple[Path, ...]]:
-    """Recordings as tuples of their files: those that `rosbag record --split` numbered together.
-
-    They have one name but for the number, which begins at 0, and a date; and each begins where the
-    one before ends.
-    """
-    groups: dict[tuple[Path, str], dict[int, Path]] = {}
-    for path in paths:
-        numbered = SPLIT_BAG.fullmatch(path.name) if path.is_file() else None
-        if numbered is not None:
-            groups.setdefault((path.parent, numbered["stem"]), {})[int(numbered["k"])] = path
-    together: dict[Path, tuple[Path, ...]] = {}
-    for numbers in groups.values():
-        files = [numbers[k] for k in sorted(numbers)]
-        if len(files) > 1 and sorted(numbers) == list(range(len(files))) and _follow(files):
-            together |= dict.fromkeys(files, tuple(files))
-    return [together.get(path, (path,)) for path in paths if together.get(path, (path,))[0] == path]
-
-
-def _follow(files: list[Path]) -> bool:
-    """Whether each file begins within SPLIT_GAP_NS of the end of the one before."""
-    spans = []
-    for file in files:
-        try:
-            times = [m.log_ns for m in open_container(file).messages()]
-        except UnreadableError:
-            return False
-        if not times:
-            return False
-        spans.append((min(times), max(times)))
-    return all(0 <= b[0] - a[1] < SPLIT_GAP_NS for a, b in pairwise(spans))
 
 
 def _is_recording(path: Path) -> bool:

@@ -45,7 +45,7 @@ def header_stamp_ns(data: bytes, encoding: str) -> int:
     if encoding == "ros1":
         sec, nanosec = struct.unpack_from("<II", data, 4)
     else:
-        order = "<" if data[1] & 1 else ">"
+        order = "<" if struct.unpack_from("B", data, 1)[0] & 1 else ">"
         sec, nanosec = struct.unpack_from(f"{order}iI", data, 4)
     return int(sec) * 1_000_000_000 + int(nanosec)
 

@@ -34,6 +34,16 @@ from dgeval.recording.messages import (
     stamp_ns,
 )
 
+STAMPED = (
+    IMAGE_TYPES
+    | POSE_TYPES
+    | {
+        "sensor_msgs/msg/CameraInfo",
+        "sensor_msgs/msg/JointState",
+        "geometry_msgs/msg/TwistStamped",
+    }
+)
+
 
 @dataclass
 class TopicTimes:
@@ -144,6 +154,8 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             elif message.topic == SCORE_TOPIC:
                 out.scores.append((message.log_ns, float(opened.decode(message).data)))
         except (UndecodableError, ValueError, AttributeError, struct.error) as error:
+            if topic.type in STAMPED and len(times.header_ns) < len(times.log_ns):
+                times.header_ns.append(0)  # so that the stamps of the others stay theirs
             out.undecodable[message.topic] += 1
             out.first_undecodable.setdefault(message.topic, str(error))
     out.events.sort(key=lambda e: e.t_ns)

@@ -12,7 +12,7 @@ from dgeval.config import Config
 from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics
 from dgeval.recording.camera import camera_of
-from dgeval.recording.checks import Check, clock_check, failed_checks
+from dgeval.recording.checks import Check, clock_check, failed_checks, part_check
 from dgeval.recording.closes import CloseKnown, close_of
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
@@ -141,6 +141,8 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     grasps, lost = recorded_grasps(scanned), LostFrames(opened.damage)
     reader = FrameReader(opened, colour, depth, window.pairs, camera, robot, grasps, lost)
     checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock)
+    if not spec.parts:
+        checks += part_check(spec.recording)
     notes += [*([close.note] if close.note else []), *hints, *(str(c) for c in checks)]
     return Trial(
         replace(spec, start_ns=window.start_ns, end_ns=window.end_ns),

@@ -9,112 +9,35 @@ from __future__ import annotations
 import copy
 import json
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 import zstandard
-from dgeval.config import Config, load_config
+from dgeval.config import Config
 from dgeval.errors import UnreadableError
 from dgeval.recording.image_codecs import rvl
 from dgeval.recording.manifest import find_trials
-from dgeval.recording.trials import Trial, open_trial
-from mcap.reader import make_reader
-from mcap.writer import Writer
+from dgeval.recording.trials import open_trial
 from rosbags.rosbag1 import Writer as BagWriter
-from rosbags.typesys import Stores, get_typestore
-
-STORE, ROS1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
-TYPES = STORE.types
-COLOUR = "/camera/color/image_raw/compressed"
-DEPTH = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
-INFO, JOINTS, EVENTS = "/camera/color/camera_info", "/joint_states", "/dgeval/events"
-Message = list[Any]  # log time ns, topic, type, message
-
-
-@pytest.fixture(scope="module")
-def messages(demo: Path) -> list[Message]:
-    """The demo's messages but the truth."""
-    out = []
-    with demo.open("rb") as stream:
-        for schema, channel, m in make_reader(stream).iter_messages():
-            if schema is not None and not channel.topic.startswith("/truth/"):
-                value = STORE.deserialize_cdr(m.data, schema.name)
-                out.append([m.log_time, channel.topic, schema.name, value])
-    return out
-
-
-def write(
-    path: Path, listed: list[Message], schema: Callable[[str], tuple[str, bytes]] | None = None
-) -> Path:
-    """An MCAP as rosbag2 writes it; schema gives a type's (encoding, text)."""
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2", library="test")
-        schemas: dict[str, int] = {}
-        channels: dict[str, int] = {}
-        for log_ns, topic, kind, value in sorted(listed, key=lambda m: m[0]):
-            if kind not in schemas:
-                text = STORE.generate_msgdef(kind, ros_version=2)[0].encode()
-                encoding, data = schema(kind) if schema else ("ros2msg", text)
-                schemas[kind] = writer.register_schema(kind, encoding, data)
-            if topic not in channels:
-                channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
-            data = bytes(STORE.serialize_cdr(value, kind))
-            writer.add_message(channels[topic], log_ns, data, log_ns)
-        writer.finish()
-    return path
-
-
-def opened(path: Path, *settings: str) -> Trial:
-    config = load_config("dynamic", settings) if settings else Config()
-    return open_trial(find_trials([path])[0], config)
-
-
-def contents(trial: Trial, every: int = 8) -> list[tuple[Any, ...]]:
-    """Stamp, sums of the pixels and camera pose of some frames."""
-    return [
-        (
-            f.t_ns,
-            int(f.colour.sum()),
-            float(f.depth.sum()),
-            None if f.T_base_camera is None else np.round(f.T_base_camera, 6).tolist(),
-        )
-        for f in trial.frames()
-        if f.index % every == 0
-    ]
-
-
-@pytest.fixture(scope="module")
-def original(demo: Path) -> list[tuple[Any, ...]]:
-    return contents(opened(demo))
-
-
-def depth_codes(message: Any) -> np.ndarray:
-    data = np.asarray(message.data, np.uint8)[12:]
-    return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
-
-
-def header(like: Any, frame: str | None = None) -> Any:
-    out = copy.deepcopy(like.header)
-    out.frame_id = frame or out.frame_id
-    return out
-
-
-def image(like: Any, pixels: np.ndarray, encoding: str, frame: str | None = None) -> Any:
-    pixels = np.ascontiguousarray(pixels)
-    return TYPES["sensor_msgs/msg/Image"](
-        header=header(like, frame),
-        height=pixels.shape[0],
-        width=pixels.shape[1],
-        encoding=encoding,
-        is_bigendian=0,
-        step=pixels.strides[0],
-        data=pixels.view(np.uint8).reshape(-1),
-    )
+from tests.recording.packaging import (
+    COLOUR,
+    DEPTH,
+    EVENTS,
+    INFO,
+    JOINTS,
+    ROS1,
+    STORE,
+    TYPES,
+    Message,
+    contents,
+    depth_codes,
+    header,
+    image,
+    opened,
+    write,
+)
 
 
 def rvl_words(codes: np.ndarray) -> bytes:

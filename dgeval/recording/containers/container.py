@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+import zstandard
+
 from dgeval.errors import Damage, Place, UndecodableError, describe
 
+MAX_MESSAGE_BYTES = 1 << 30  # a frame that claims more is broken
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -47,7 +50,10 @@ class RawMessage:
 
 
 class Container(Protocol):
-    """What a container format implements. `messages` may be called any number of times."""
+    """What a container format implements. `messages` may be called any number of times.
+
+    compressed_messages: each message is a zstd frame by itself, as rosbag2's message mode does it.
+    """
 
     path: Path
     kind: str
@@ -58,9 +64,21 @@ class Container(Protocol):
     def damage(self) -> list[Damage]: ...
 
     @property
+    def compressed_messages(self) -> bool: ...
+
+    @property
     def checksums(self) -> str: ...
 
     def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]: ...
+
+
+def unpacked(message: RawMessage) -> RawMessage:
+    """A message out of its zstd frame; of a broken one without data, which no decoder accepts."""
+    try:
+        data = zstandard.ZstdDecompressor().decompress(message.data, MAX_MESSAGE_BYTES)
+    except zstandard.ZstdError:
+        data = b""
+    return replace(message, data=data)
 
 
 @dataclass
@@ -98,7 +116,7 @@ class Opened:
         for message in self.container.messages(wanted):
             counts[message.topic] += 1
             last_ns = message.log_ns
-            yield message
+            yield unpacked(message) if self.container.compressed_messages else message
         self.counts.update(counts)
         if self.damage:
             return
@@ -121,6 +139,12 @@ class Opened:
             ) from error
 
 
+def sidecars(file: Path) -> list[Path]:
+    """What SQLite left beside a .db3 whose writer was stopped, and that holds a part of it."""
+    beside = [file.with_name(f"{file.name}-{end}") for end in ("wal", "journal")]
+    return [p for p in beside if p.is_file() and p.stat().st_size]
+
+
 def sha256_of(path: Path, parts: tuple[Path, ...] = ()) -> str:
     """SHA-256 of a file; of a folder over names and contents of its files, in name order.
 
@@ -132,6 +156,9 @@ def sha256_of(path: Path, parts: tuple[Path, ...] = ()) -> str:
         files = [path]
         if not path.is_file():
             files = sorted(p for p in path.iterdir() if p.suffix in kinds)
+    files = [
+        p for file in files for p in (file, *(sidecars(file) if file.suffix == ".db3" else ()))
+    ]
     digest = hashlib.sha256()
     for file in files:
         if len(files) > 1 or path.is_dir():

@@ -11,7 +11,6 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -84,7 +83,7 @@ class McapContainer:
 
     def __init__(self, path: Path, compressed_messages: bool = False) -> None:
         self.path, self._source = path, path
-        self._compressed_messages = compressed_messages
+        self.compressed_messages = compressed_messages
         self.damage: list[Damage] = []
         self.topics: dict[str, Topic] = {}
         self.notes: list[str] = []
@@ -212,8 +211,6 @@ class McapContainer:
         kind = foxglove.ros_type(name)
         if decode is not None and kind != name:
             decode = foxglove.adapted(name, decode)
-        if self._compressed_messages and decode is not None:
-            decode = partial(_decompress, decode)
         if key == ("cdr", "") and decode is not None:
             self.notes.append(f"{channel.topic} has no definition: {name} is known by its name")
         count = counts.get(channel.id) if counts else None
@@ -400,10 +397,6 @@ def _expand(chunk: mcap.records.Chunk) -> bytes:
             f"a chunk claims {size} bytes and expands to {len(data)} or more"
         )
     return bytes(data)
-
-
-def _decompress(decode: Callable[[bytes], Any], data: bytes) -> Any:
-    return decode(zstandard.ZstdDecompressor().decompress(data, MAX_CHUNK_BYTES))
 
 
 def _refuse(why: str, place: Place) -> Callable[[bytes], Any]:

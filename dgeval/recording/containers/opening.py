@@ -38,7 +38,7 @@ def open_container(path: Path, parts: tuple[Path, ...] = ()) -> Opened:
             raise UnreadableError("no such file or folder", place)
         if path.is_dir():
             return Opened(_folder(path), path)
-        return Opened(_file(path, ""), path)
+        return Opened(_file(path, _mode_beside(path)), path)
     except OSError as error:
         raise UnreadableError(f"can't be opened ({error.strerror})", place) from error
 
@@ -64,6 +64,16 @@ def stored_files(folder: Path) -> list[Path]:
     return sorted(files, key=key)
 
 
+def _mode_beside(file: Path) -> str:
+    """The compression mode that a metadata.yaml beside a file gives it; "" without."""
+    metadata = file.parent / METADATA
+    if not metadata.is_file():
+        return ""
+    text = metadata.read_text(encoding="utf-8", errors="replace")
+    mode, listed = MODE.search(text), [Path(name).name for name in LISTED.findall(text)]
+    return mode[1].upper() if mode and file.name in listed else ""
+
+
 def _bare(path: Path) -> Path:
     """The path without a .zstd at its end."""
     return path.with_suffix("") if path.suffix == ".zstd" else path
@@ -81,9 +91,13 @@ def _folder(path: Path) -> Container:
     metadata = path / METADATA
     text = metadata.read_text(encoding="utf-8", errors="replace") if metadata.is_file() else ""
     mode = MODE.search(text)
-    if _bare(files[0]).suffix == ".db3":
+    # a recorder that died leaves no metadata.yaml; rosbag2 names the parts after their folder
+    own = len(files) > 1 and all(
+        re.fullmatch(rf"{re.escape(path.name)}_\d+", _bare(f).stem) for f in files
+    )
+    if _bare(files[0]).suffix == ".db3" and (text or len(files) == 1 or not own):
         return RosbagsContainer(path)
-    if len(files) > 1 and not text:
+    if len(files) > 1 and not text and not own:
         raise UnreadableError(
             f"{len(files)} recordings in one folder, and no metadata.yaml says that they are one",
             Place(str(path)),
@@ -114,7 +128,7 @@ def _file(path: Path, mode: str) -> Container:
     if head.startswith(MCAP_MAGIC):
         return McapContainer(path, compressed_messages=mode == "MESSAGE")
     if head.startswith(BAG_MAGIC) or head == SQLITE_MAGIC:
-        return RosbagsContainer(path)
+        return RosbagsContainer(path, compressed_messages=mode == "MESSAGE")
     hint: str | None = None
     if head.startswith(b"version https://"):
         hint = "this is a git-LFS pointer, not the recording: run `git lfs pull`"

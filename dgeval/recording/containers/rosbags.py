@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
+import tempfile
+import weakref
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import IO, Any
@@ -12,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
-from dgeval.recording.containers.container import RawMessage, Topic
+from dgeval.recording.containers.container import RawMessage, Topic, sidecars
 from dgeval.recording.encodings import foxglove, ros1
 
 BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO = 3, 4, 5, 6  # record kinds of the ROS bag format 2.0
@@ -24,8 +28,9 @@ class RosbagsContainer:
 
     checksums = "none in this format: only a manifest with sha256 can tell changed bytes"
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, compressed_messages: bool = False) -> None:
+        """compressed_messages: of a bare file, each one as a zstd frame."""
+        self.path, self.compressed_messages = path, compressed_messages
         self.damage: list[Damage] = []
         self.topics: dict[str, Topic] = {}
         self.notes: list[str] = []
@@ -37,6 +42,7 @@ class RosbagsContainer:
                     "no metadata.yaml, and more than one .db3", Place(str(path)), "name one file"
                 )
             self._source = files[0]
+        self._source = self._recovered(self._source)
         self.kind = (
             "ROS 1 bag" if path.suffix == ".bag" or _is_bag(self._source) else "ROS 2 SQLite"
         )
@@ -71,6 +77,32 @@ class RosbagsContainer:
                 )
         finally:
             reader.close()
+
+    def _recovered(self, source: Path) -> Path:
+        """The source, or a temporary copy of it with what its recorder left beside the SQLite file.
+
+        A recorder that died leaves messages in a -wal file, or a change half made and a -journal.
+        SQLite puts them in when it opens the file for writing. The copy lives with the reader.
+        """
+        files = list(source.glob("*.db3")) if source.is_dir() else [source]
+        left = [p for f in files for p in sidecars(f)]
+        if not left:
+            return source
+        folder = Path(tempfile.mkdtemp(prefix="dgeval-"))
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        extra = [source / "metadata.yaml"] if source.is_dir() else []
+        for file in [*files, *left, *extra]:
+            if file.is_file():
+                shutil.copyfile(file, folder / file.name)
+        for file in files:
+            try:
+                with closing(sqlite3.connect(folder / file.name)) as connection:
+                    connection.execute("PRAGMA journal_mode=DELETE").fetchone()
+            except sqlite3.Error:
+                pass  # the check that follows says what is wrong
+        names = ", ".join(sorted(p.name for p in left))
+        self.notes.append(f"the recorder was stopped: what {names} holds is read as well")
+        return folder if source.is_dir() else folder / source.name
 
     def _open(self) -> AnyReader:
         try:

@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dgeval.recording.image_codecs.pixels import Pixels
+from dgeval.recording.image_codecs.pixels import Pixels, eight_bit
 
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 PNG_START = b"\x89PNG\r\n\x1a\n"
@@ -22,6 +22,7 @@ def accepts(message: Any) -> bool:
 
 def decode(message: Any) -> Pixels:
     """Pixels as OpenCV gives them, blue first; 16-bit single-channel images are depth.
+    Colour of 16 bits is given with 8.
 
     ValueError where the bytes are not an image.
     """
@@ -36,4 +37,5 @@ def decode(message: Any) -> Pixels:
         raise ValueError(f"format {message.format!r}: the image can't be decoded")
     if array.ndim == 2:
         return Pixels(array, "16UC1" if array.dtype == np.uint16 else "mono8")
+    array = eight_bit(array)
     return Pixels(array, "bgra8" if array.shape[2] == 4 else "bgr8")

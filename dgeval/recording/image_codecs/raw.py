@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dgeval.recording.image_codecs.pixels import Pixels
+from dgeval.recording.image_codecs.pixels import Pixels, eight_bit
 
 # sensor_msgs encodings: type of an element, elements per pixel
 LAYOUTS = {
@@ -21,6 +21,19 @@ LAYOUTS = {
     "mono16": (np.uint16, 1),
     "Z16": (np.uint16, 1),
     "32FC1": (np.float32, 1),
+    "rgb16": (np.uint16, 3),
+    "bgr16": (np.uint16, 3),
+    "16UC3": (np.uint16, 3),
+    "rgba16": (np.uint16, 4),
+    "bgra16": (np.uint16, 4),
+}
+# colour of 16 bits is given with 8
+EIGHT_BIT = {
+    "rgb16": "rgb8",
+    "bgr16": "bgr8",
+    "16UC3": "bgr8",
+    "rgba16": "rgba8",
+    "bgra16": "bgra8",
 }
 
 
@@ -53,5 +66,7 @@ def decode(message: Any) -> Pixels:
         .reshape(height, width, channels)
         .astype(dtype, copy=False)
     )
+    if message.encoding in EIGHT_BIT:
+        return Pixels(eight_bit(array), EIGHT_BIT[message.encoding])
     unit = getattr(message, "depth_unit", None)  # of librealsense's recorder
     return Pixels(array[:, :, 0] if channels == 1 else array, message.encoding, unit)

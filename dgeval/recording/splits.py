@@ -1,0 +1,74 @@
+"""Which files together are one recording that its recorder split by size or time.
+
+`rosbag record --split` and rosbag2 number the parts from 0. Numbers alone are no proof, trials are
+numbered too: each part must also begin where the one before ends.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+
+from dgeval.errors import UnreadableError
+from dgeval.recording.containers.opening import open_container
+
+NUMBERED = re.compile(
+    r"(?P<stem>.*?)(?:_\d{4}(?:-\d\d){5})?_(?P<k>\d+)(?P<suffix>\.bag|\.mcap|\.db3)"
+)
+GAP_NS = 2_000_000_000  # ns, at most between two parts; ours
+
+Numbered = dict[tuple[Path, str, str], dict[int, Path]]  # by folder, name and suffix; by number
+
+
+def split_recordings(paths: list[Path]) -> list[tuple[Path, ...]]:
+    """Recordings as tuples of their files, in the order of `paths`; most are of one file."""
+    groups = _numbered(paths)
+    together: dict[Path, tuple[Path, ...]] = {}
+    for numbers in groups.values():
+        files = [numbers[k] for k in sorted(numbers)]
+        if len(files) > 1 and sorted(numbers) == list(range(len(files))) and _follow(files):
+            together |= dict.fromkeys(files, tuple(files))
+    return [together.get(path, (path,)) for path in paths if together.get(path, (path,))[0] == path]
+
+
+def unread_part(path: Path) -> Path | None:
+    """The file beside a recording that is its next or previous part; None without."""
+    match = NUMBERED.fullmatch(path.name)
+    if match is None or not path.is_file():
+        return None
+    groups = _numbered(sorted(path.parent.glob(f"*{match['suffix']}")))
+    numbers = groups[path.parent, match["stem"], match["suffix"]]
+    k = int(match["k"])
+    for pair in ((k, k + 1), (k - 1, k)):
+        files = [numbers[i] for i in pair if i in numbers]
+        if len(files) == 2 and _follow(files):
+            return next(file for file in files if file != path)
+    return None
+
+
+def _numbered(paths: list[Path]) -> Numbered:
+    groups: Numbered = {}
+    for path in paths:
+        match = NUMBERED.fullmatch(path.name) if path.is_file() else None
+        if match is not None:
+            key = path.parent, match["stem"], match["suffix"]
+            groups.setdefault(key, {})[int(match["k"])] = path
+    return groups
+
+
+def _follow(files: list[Path]) -> bool:
+    """Whether each file begins within GAP_NS of the end of the one before, with the same topics."""
+    spans, topics = [], []
+    for file in files:
+        try:
+            opened = open_container(file)
+            times = [m.log_ns for m in opened.messages()]
+        except UnreadableError:
+            return False
+        if not times:
+            return False
+        spans.append((min(times), max(times)))
+        topics.append(opened.topics.keys())
+    one_robot = all(a & b for a, b in pairwise(topics))
+    return one_robot and all(0 <= b[0] - a[1] < GAP_NS for a, b in pairwise(spans))
