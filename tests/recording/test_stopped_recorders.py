@@ -53,7 +53,7 @@ def test_a_broken_frame_of_one_message_costs_that_message(
 ) -> None:
     """Fails where one broken message ends the reading."""
     folder = rosbag2(tmp_path / "bag", messages, StoragePlugin.SQLITE3, compressed=True)
-    whole = len(opened(folder).pairs)
+    stamps = [frame.t_ns for frame in opened(folder).frames()]
     (file,) = folder.glob("*.db3")
     with sqlite3.connect(file) as connection:
         topics = dict(connection.execute("SELECT name, id FROM topics"))
@@ -64,7 +64,7 @@ def test_a_broken_frame_of_one_message_costs_that_message(
         connection.execute("UPDATE messages SET data = ? WHERE id = ?", (b"\x28\xb5broken", row))
     connection.close()
     trial = opened(file)
-    assert len(trial.pairs) == whole - 1
+    assert [frame.t_ns for frame in trial.frames()] == stamps[:9] + stamps[10:]
     assert any("messages can't be used" in str(d) for d in trial.damage)
 
 
