@@ -12,6 +12,7 @@ from dgeval.config import CalibrationConfig
 from dgeval.errors import Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics, matrix_from_pose
 from dgeval.recording.alignment import Alignment
+from dgeval.recording.lens import Lens, lens_of
 from dgeval.recording.messages import CameraModel
 from dgeval.recording.roles import Roles, aligned
 from dgeval.recording.scan import Scan
@@ -24,7 +25,8 @@ class Camera:
 
     depth_scale: m per unit of integer depth, None for the ROS convention. static_mask (H, W):
     depth is dropped where it is not 0; None without one. alignment: of depth that has its own
-    camera; None for depth that is aligned as recorded. notes: what was assumed.
+    camera; None for depth that is aligned as recorded. lens, depth_lens: of the colour and of the
+    depth pictures; None without distortion. notes: what was assumed.
     """
 
     intrinsics: Intrinsics
@@ -32,6 +34,23 @@ class Camera:
     static_mask: NDArray[np.uint8] | None
     notes: tuple[str, ...] = ()
     alignment: Alignment | None = None
+    lens: Lens | None = None
+    depth_lens: Lens | None = None
+
+    def straight(
+        self, colour: NDArray[np.uint8], depth: NDArray[np.float32]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """A pair of pictures without distortion, depth in the colour image.
+
+        ValueError for pictures of another size.
+        """
+        if self.lens is not None:
+            colour = self.lens.colour(colour)
+        if self.depth_lens is not None:
+            depth = self.depth_lens.depth(depth)
+        if self.alignment is not None:
+            depth = self.alignment.apply(depth)
+        return colour, depth
 
 
 def camera_of(
@@ -48,19 +67,20 @@ def camera_of(
     t_ns: of an image, at which the transform between the cameras is looked up. UsageError without
     intrinsics or for a bad mask; UnreadableError for depth that can't be aligned.
     """
-    intrinsics, notes = _intrinsics(scan, colour_topic, roles.intrinsics, config)
-    alignment = None
+    intrinsics, notes, lens = _intrinsics(scan, colour_topic, roles.intrinsics, config)
+    alignment, depth_lens = None, lens
     if not aligned(scan, colour_topic, depth_topic):
-        alignment = _alignment(
+        alignment, depth_lens = _alignment(
             scan, colour_topic, depth_topic, roles.depth_intrinsics, intrinsics, tree, t_ns, config
         )
         frames = scan.images[depth_topic].frame_id, scan.images[colour_topic].frame_id
         notes.append(
             f"depth of {depth_topic} ({frames[0]}) is brought into the colour camera ({frames[1]})"
         )
-    return Camera(
-        intrinsics, config.depth_scale, _static_mask(config, intrinsics), tuple(notes), alignment
-    )
+    mask = _static_mask(config, intrinsics)
+    if mask is not None and lens is not None:
+        mask = lens.mask(mask)
+    return Camera(intrinsics, config.depth_scale, mask, tuple(notes), alignment, lens, depth_lens)
 
 
 def _alignment(
@@ -72,7 +92,7 @@ def _alignment(
     tree: TransformTree,
     t_ns: int,
     config: CalibrationConfig,
-) -> Alignment:
+) -> tuple[Alignment, Lens | None]:
     c, d = scan.images[colour_topic], scan.images[depth_topic]
     T = None
     if config.T_colour_depth is not None:
@@ -94,9 +114,10 @@ def _alignment(
             "record depth aligned to colour (realsense: align_depth.enable:=true)",
         )
     if model is None:
-        return Alignment(colour, colour, T)
+        return Alignment(colour, colour, T), None
     used = _of_picture(model, depth_topic)
-    return Alignment(used, colour, T)
+    lens = lens_of(model, used)[0] if used is model.intrinsics else None
+    return Alignment(used, colour, T), lens
 
 
 def _of_picture(model: CameraModel, topic: str) -> Intrinsics:
@@ -108,10 +129,10 @@ def _of_picture(model: CameraModel, topic: str) -> Intrinsics:
 
 def _intrinsics(
     scan: Scan, colour_topic: str, info_topic: str | None, config: CalibrationConfig
-) -> tuple[Intrinsics, list[str]]:
+) -> tuple[Intrinsics, list[str], Lens | None]:
     head = scan.images[colour_topic]
     if config.intrinsics is not None:
-        return Intrinsics(head.width, head.height, *config.intrinsics), []
+        return Intrinsics(head.width, head.height, *config.intrinsics), [], None
     model = scan.cameras.get(info_topic or "")
     if model is None:
         others = ", ".join(
@@ -126,12 +147,13 @@ def _intrinsics(
         )
     notes = []
     used = _of_picture(model, colour_topic)
-    if used is model.intrinsics and any(abs(d) > 1e-9 for d in model.distortion):
-        rounded = [round(d, 4) for d in model.distortion]
-        notes.append(f"lens distortion {rounded} is recorded and not removed")
+    lens = None
+    if used is model.intrinsics:
+        lens, note = lens_of(model, used)
+        notes += [note] if note else []
     if scan.camera_changes.get(info_topic or ""):
         notes.append("the intrinsics change within the recording; the first are used")
-    return used, notes
+    return used, notes, lens
 
 
 def _static_mask(config: CalibrationConfig, camera: Intrinsics) -> NDArray[np.uint8] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError
 from dgeval.geometry import matrix_from_pose
@@ -103,8 +104,7 @@ class FrameReader:
             decoded = self.opened.decode(colour_raw)
             colour = colour_from(decode_image(decoded))
             depth = depth_from(decode_image(self.opened.decode(depth_raw)), self.camera.depth_scale)
-            if self.camera.alignment is not None:
-                depth = self.camera.alignment.apply(depth)
+            colour, depth = self.camera.straight(colour, depth)
         except (UndecodableError, ValueError) as error:
             self._lose(t_ns, str(error))
             return None
@@ -131,8 +131,14 @@ class FrameReader:
             self.robot.T_base_palm(t_ns),
             self.robot.hand_shapes(t_ns),
             self.grasps[at - 1][1] if at else None,
-            bytes(memoryview(decoded.data)) if hasattr(decoded, "format") else None,
+            self._as_recorded(decoded),
         )
+
+    def _as_recorded(self, decoded: Any) -> bytes | None:
+        """The bytes of a compressed picture; None where the frame shows another one."""
+        if self.camera.lens is not None or not hasattr(decoded, "format"):
+            return None
+        return bytes(memoryview(decoded.data))
 
     def _lose(self, t_ns: int, reason: str) -> None:
         self.lost.add(reason, Place(str(self.opened.path), t_ns=t_ns))

@@ -106,11 +106,11 @@ def poses_of(message: Any) -> list[StampedPose]:
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """Intrinsics with the frame they belong to and the distortion that dgeval does not remove.
+    """Intrinsics with the frame they belong to and the lens's distortion.
 
     intrinsics: of the picture as published, binned and cropped; size px. rectified: of the
     rectified picture (P), which has no distortion; None where P is not given. full_size: of the
-    sensor's picture, px.
+    sensor's picture, px. lens_model: what the coefficients of `distortion` mean.
     """
 
     intrinsics: Intrinsics
@@ -118,6 +118,7 @@ class CameraModel:
     distortion: tuple[float, ...]
     rectified: Intrinsics | None = None
     full_size: tuple[int, int] = (0, 0)
+    lens_model: str = ""
 
 
 def camera_model(message: Any) -> CameraModel:
@@ -141,6 +142,7 @@ def camera_model(message: Any) -> CameraModel:
         tuple(d.tolist()),
         rectified,
         (int(message.width), int(message.height)),
+        str(getattr(message, "distortion_model", "")),
     )
 
 

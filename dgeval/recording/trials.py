@@ -123,6 +123,8 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
         scanned, colour, depth, roles, robot.tree, window.pairs[0].t_ns, config.calibration
     )
     _check_box(spec.bbox, camera.intrinsics, place)
+    if spec.bbox is not None and camera.lens is not None:
+        spec = replace(spec, bbox=camera.lens.box(spec.bbox))
     marked = events_within(scanned.events, window.start_ns, window.end_ns, spec.end_ns)
     first_ns = window.pairs[0].t_ns
     given = (

@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
 from dgeval.recording.containers.container import RawMessage, Topic, sidecars
-from dgeval.recording.encodings import foxglove, ros1
+from dgeval.recording.encodings import cdr2, foxglove, ros1
 
 BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO = 3, 4, 5, 6  # record kinds of the ROS bag format 2.0
 ORPHANS = "SELECT COUNT(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM topics)"
@@ -55,7 +55,7 @@ class RosbagsContainer:
             store = reader.typestore
             for connection in reader.connections:
                 stored, why = connection.msgtype, None
-                decode: Callable[[bytes], Any] = partial(store.deserialize_cdr, typename=stored)
+                decode: Callable[[bytes], Any] = partial(cdr2.deserialize, store, stored)
                 if self.kind == "ROS 1 bag":
                     decode = partial(ros1.decode, store, stored)
                 if stored not in store.fielddefs:

@@ -8,6 +8,8 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from dgeval.recording.encodings.cdr2 import deserialize
+
 ENCODES = ("cdr", "ros2msg")  # message encoding, schema encoding
 
 
@@ -15,4 +17,4 @@ def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
     """The function that decodes one message's bytes into an object with the type's fields."""
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(schema.decode(), type_name))
-    return partial(store.deserialize_cdr, typename=type_name)
+    return partial(deserialize, store, type_name)

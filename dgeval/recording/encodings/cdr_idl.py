@@ -10,6 +10,7 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 
 from dgeval.recording.encodings import cdr_named
+from dgeval.recording.encodings.cdr2 import deserialize
 
 ENCODES = ("cdr", "ros2idl")  # message encoding, schema encoding
 # the line before each of several definitions in one schema
@@ -24,4 +25,4 @@ def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
     for definition in SEPARATOR.split(schema.decode()):
         if definition.strip():
             store.register(get_types_from_idl(definition))
-    return partial(store.deserialize_cdr, typename=type_name)
+    return partial(deserialize, store, type_name)

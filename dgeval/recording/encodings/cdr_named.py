@@ -12,6 +12,8 @@ from typing import Any
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from dgeval.recording.encodings.cdr2 import deserialize
+
 ENCODES = ("cdr", "")  # message encoding, schema encoding
 
 
@@ -29,4 +31,4 @@ def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
     store = standard_types()
     if type_name not in store.fielddefs:
         raise ValueError(f"{type_name} is no standard type, and the file has no definition of it")
-    return partial(store.deserialize_cdr, typename=type_name)
+    return partial(deserialize, store, type_name)
