@@ -22,7 +22,8 @@ from dgeval.hindsight.smoothing import Sighting
 from dgeval.hindsight.surface import CausalFrame
 from dgeval.perception.plane import Plane
 from dgeval.perception.types import Model
-from dgeval.recording.containers.container import Opened, RawMessage
+from dgeval.recording.containers.container import Opened
+from dgeval.recording.contract import ROBOT_DESCRIPTION, RawMessage
 from dgeval.recording.messages import JointSample, StampedPose
 from dgeval.recording.robot import robot_states
 from dgeval.recording.roles import Roles
@@ -55,6 +56,7 @@ class Nothing:
     """A container without messages."""
 
     kind: str = "memory"
+    compressed_messages: bool = False
     checksums: str = "none"
     path: Path = Path("modelled")
     topics: dict[str, Any] = field(default_factory=dict)
@@ -72,11 +74,13 @@ def at_ns(tick: int) -> int:
 def log_of_run(run: Run, world: World, config: Config) -> TrialLog:
     """What a verdict would read of a recording of this run."""
     samples, T_base_cameras = _states(run, world)
-    urdf = robot_urdf(world.gripper.T_hand_camera, world.gripper)
-    scan = Scan(Opened(Nothing(), Path("modelled")), description=urdf)
+    scan = Scan(Opened(Nothing(), Path("modelled")))
+    scan.descriptions[ROBOT_DESCRIPTION] = robot_urdf(world.gripper.T_hand_camera, world.gripper)
     scan.images[COLOUR] = ImageHead("rgb8", 640, 480, CAMERA_FRAME, "rgb8")
     scan.joints[JOINTS] = samples
-    robot = robot_states(scan, Roles(COLOUR, None, None, JOINTS, None, None), config)
+    robot = robot_states(
+        scan, Roles(COLOUR, None, None, JOINTS, None, None, joints=(JOINTS,)), config
+    )
     grasps, targets, velocities = [], [], []
     for f in run.frames:
         t_ns, grasp = at_ns(f.tick), run.ticks[f.tick].T_base_grasp

@@ -60,6 +60,9 @@ class FramesConfig(Section):
         None, description="colour optical frame; default: frame_id of the colour images"
     )
     palm: str | None = None
+    namespace: str | None = Field(
+        None, description="of the robot's topics, where several robots use the same names"
+    )
 
 
 class CalibrationConfig(Section):

@@ -14,6 +14,7 @@ import numpy as np
 
 from dgeval.config import ClockConfig
 from dgeval.recording.frame_reader import FrameReader, LostFrames
+from dgeval.recording.messages import TF_TYPES
 from dgeval.recording.pairing import Window
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.roles import Roles
@@ -47,10 +48,13 @@ def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | N
     Also a note where it is off by less, as a slow transport is too; "" without.
     """
     camera = _delay(scan, roles.colour, clock.colour.offset_ns)
+    tf = [n for n, t in scan.opened.topics.items() if t.type in TF_TYPES and "static" not in n]
+    offsets = dict.fromkeys(tf, clock.camera_pose.offset_ns)
+    offsets |= dict.fromkeys(roles.joints, clock.hand_joints.offset_ns)
     robots = {
         topic: d
-        for topic in (*roles.joints, "/tf")
-        if (d := _delay(scan, topic, clock.hand_joints.offset_ns)) is not None
+        for topic, offset in sorted(offsets.items())
+        if (d := _delay(scan, topic, offset)) is not None
     }
     if camera is None or not robots:
         return None, ""
@@ -72,11 +76,6 @@ def _delay(scan: Scan, topic: str | None, offset_ns: int) -> float | None:
     if topic is None or topic not in scan.times:
         return None
     header, log = scan.times[topic].arrays()
-    if topic == "/tf":
-        stamps = np.array([e.t_ns for e in scan.tf], dtype=np.int64)
-        if len(stamps) < 5 or not len(log):
-            return None
-        return float(np.median(log) - np.median(stamps) - offset_ns) * 1e-9
     if len(header) != len(log) or not len(log) or not header.any():
         return None
     return float(np.median(log - header - offset_ns)) * 1e-9
@@ -102,6 +101,9 @@ def failed_checks(
             failed.append(
                 Check("stamps", f"{what} and are not used", "see `dgeval inspect` for its clock")
             )
+    if robot.conflict:
+        mend = "name the camera's robot: --set frames.namespace=/NAME"
+        failed.append(Check("robots", robot.conflict, mend))
     if robot.base_frame is not None:
         times = [p.t_ns for p in window.pairs]
         known = sum(robot.T_base_camera(t) is not None for t in times)

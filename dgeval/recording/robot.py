@@ -17,14 +17,16 @@ from dgeval.errors import Place, UsageError
 from dgeval.geometry import Array, matrix_from_pose
 from dgeval.recording.contract import ROBOT_DESCRIPTION
 from dgeval.recording.messages import JointSample
-from dgeval.recording.roles import Roles, merged_joints
-from dgeval.recording.scan import Scan
+from dgeval.recording.namespaces import Series, differ, holds, namespace_of, of_camera
+from dgeval.recording.roles import Roles, joint_topics, merged_joints
+from dgeval.recording.scan import Scan, Transforms
 from dgeval.recording.transforms import TransformTree
 from dgeval.robots.description import Description, Joint, LinkShape, load_description
 from dgeval.robots.hand import Hand, hand_of
 
 # names of the robot's base in common descriptions, in order of preference
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
+SAME_POSE = 0.005  # m and parts of a quaternion; transforms that differ by less are one; ours
 # words in the name of the frame that stands for the palm, in order of preference
 PALM_WORDS = (
     ("palm",),
@@ -77,8 +79,9 @@ class JointTrack:
 class RobotStates:
     """Poses of camera, palm and hand links over one recording; None where one is not known.
 
-    hand_links: links of the hand that have a shape. joints: of the whole robot. notes: what was
-    assumed.
+    hand_links: links of the hand that have a shape. joints: of the whole robot, samples: as
+    recorded. notes: what was assumed. conflict: robots that use the same names and are not told
+    apart, "" without.
     """
 
     tree: TransformTree
@@ -89,6 +92,8 @@ class RobotStates:
     hand_links: tuple[str, ...]
     joints: JointTrack
     notes: tuple[str, ...]
+    conflict: str = ""
+    samples: tuple[JointSample, ...] = ()
 
     @property
     def hand(self) -> Hand | None:
@@ -131,27 +136,30 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     tree = TransformTree(max_gap_ns)
     notes: list[str] = []
     offset = config.clock.camera_pose.offset_ns
-    # as in tf2, the first transform heard of a frame decides whether the frame is static
-    for edge in scan.tf_static:
-        if scan.heard_static.get(edge.child, True):
-            tree.add_static(edge.parent, edge.child, matrix_from_pose(edge.pose))
-    for edge in scan.tf:
-        if not scan.heard_static.get(edge.child, False):
-            tree.add_moving(edge.t_ns + offset, edge.parent, edge.child, edge.pose)
-    both = sorted({e.child for e in scan.tf} & {e.child for e in scan.tf_static})
-    for child in both:
-        kind = "static" if scan.heard_static[child] else "moving"
-        notes.append(
-            f"the frame {child!r} is on /tf and on /tf_static; it was heard {kind} first, and tf2 "
-            "keeps it so"
-        )
+    counts, mixed = of_camera(
+        scan.tf,
+        lambda a, b: _contradict(scan.tf[a], scan.tf[b]),
+        roles.colour,
+        config.frames.namespace,
+    )
+    for namespace in counts:
+        _add_transforms(tree, scan.tf[namespace], offset, notes)
+    notes.extend(
+        f"the transforms in {namespace or '/'} are another robot's and are not used"
+        for namespace in sorted(scan.tf.keys() - set(counts) - set(mixed))
+    )
     head = scan.images.get(roles.colour) if roles.colour else None
     camera = config.frames.camera or (head.frame_id if head else "") or "camera"
 
-    joints = JointTrack.of(merged_joints(scan, roles), config.clock.hand_joints.offset_ns)
-    if len(roles.joints) > 1:
-        notes.append(f"joint states are merged from {', '.join(roles.joints)}")
-    description = _description(scan, config)
+    used, joints_mixed = joint_topics(scan, roles, config.frames.namespace)
+    samples = merged_joints(scan, used)
+    joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)
+    if len(used) > 1:
+        notes.append(f"joint states are merged from {', '.join(used)}")
+    left = [topic for topic in roles.joints if topic not in used]
+    if left and not joints_mixed:
+        notes.append(f"{', '.join(left)} are another robot's joint states and are not used")
+    description = _description(scan, roles, joints, config, notes)
     if description is not None:
         notes.extend(description.notes)
         _add_joints(tree, description, joints, max_gap_ns)
@@ -186,17 +194,80 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     if base is None:
         notes.append("no camera pose recorded: the base frame is the camera frame")
         palm = palm if config.frames.palm is not None else None
-    if tree.reparented:
-        notes.append(f"{tree.reparented} transforms gave a frame a second parent and were not used")
+    for child, parents in tree.reparented().items():
+        notes.append(
+            f"the frame {child!r} is given in {', '.join(map(repr, parents))}; each transform "
+            "counts with its own, as tf2 reads them"
+        )
+    above = tree.ancestors(base) if base is not None else []
+    if any(frame in tree.moving for frame in above):
+        notes.append(
+            f"the base frame {base!r} moves in {above[-1]!r}: speeds are against {base!r}; for the "
+            f"other: frames.base={above[-1]}"
+        )
     links: list[str] = []
     if description is not None and palm is not None and palm in description.shapes:
         links = description.below(_hand_root(description, palm))
         links = [link for link in links if description.shapes.get(link)]
-    return RobotStates(tree, camera, base, palm, description, tuple(links), joints, tuple(notes))
+    conflict = ""
+    if mixed or joints_mixed:
+        names = ", ".join(ns or "/" for ns in dict.fromkeys([*mixed, *joints_mixed]))
+        conflict = f"{names} use the same names, and {roles.colour} is in none of them"
+    return RobotStates(
+        tree,
+        camera,
+        base,
+        palm,
+        description,
+        tuple(links),
+        joints,
+        tuple(notes),
+        conflict,
+        tuple(samples),
+    )
 
 
-def _description(scan: Scan, config: Config) -> Description | None:
-    text, source = scan.description, f"{ROBOT_DESCRIPTION} of {scan.opened.path}"
+def _contradict(a: Transforms, b: Transforms) -> bool:
+    """Whether two sets of transforms give a frame two poses."""
+    shared = sorted(a.is_static.keys() & b.is_static.keys())
+
+    def series(heard: Transforms, child: str) -> Series:
+        edges = heard.static if heard.is_static[child] else heard.moving
+        # a static transform holds at every time
+        rows = {0 if heard.is_static[child] else e.t_ns: e.pose for e in edges if e.child == child}
+        return np.array(sorted(rows)), np.array([rows[t] for t in sorted(rows)])
+
+    return any(
+        a.is_static[child] != b.is_static[child]
+        or differ(series(a, child), series(b, child), SAME_POSE)
+        for child in shared
+    )
+
+
+def _add_transforms(
+    tree: TransformTree, heard: Transforms, offset_ns: int, notes: list[str]
+) -> None:
+    """As in tf2, the first transform heard of a frame decides whether the frame is static."""
+    for edge in heard.static:
+        if heard.is_static.get(edge.child, True):
+            tree.add_static(edge.parent, edge.child, matrix_from_pose(edge.pose))
+    for edge in heard.moving:
+        if not heard.is_static.get(edge.child, False):
+            tree.add_moving(edge.t_ns + offset_ns, edge.parent, edge.child, edge.pose)
+    for child in sorted({e.child for e in heard.moving} & {e.child for e in heard.static}):
+        kind = "static" if heard.is_static[child] else "moving"
+        notes.append(
+            f"the frame {child!r} is on /tf and on /tf_static; it was heard {kind} first, and tf2 "
+            "keeps it so"
+        )
+
+
+def _description(
+    scan: Scan, roles: Roles, joints: JointTrack, config: Config, notes: list[str]
+) -> Description | None:
+    topic = _description_topic(scan, roles, joints, config, notes)
+    text = scan.descriptions.get(topic or "")
+    source = f"{topic or ROBOT_DESCRIPTION} of {scan.opened.path}"
     if config.calibration.description is not None:
         source = config.calibration.description
         try:
@@ -210,6 +281,28 @@ def _description(scan: Scan, config: Config) -> Description | None:
     return load_description(
         text, source, config.calibration.mesh_dirs, config.self_filter.radius_default
     )
+
+
+def _description_topic(
+    scan: Scan, roles: Roles, joints: JointTrack, config: Config, notes: list[str]
+) -> str | None:
+    """Of several descriptions that of the camera's namespace, else the one with the most joints
+    that are recorded; said in the notes.
+    """
+    if len(scan.descriptions) <= 1:
+        return next(iter(scan.descriptions), None)
+    home = config.frames.namespace
+    at = (roles.colour or "") if home is None else f"{home.rstrip('/')}/"
+
+    def rank(topic: str) -> tuple[bool, int, int, str]:
+        namespace = namespace_of(topic)
+        recorded = sum(f'"{name}"' in scan.descriptions[topic] for name in joints.times)
+        return not (namespace and holds(namespace, at)), -recorded, -len(namespace), topic
+
+    best = min(scan.descriptions, key=rank)
+    others = ", ".join(sorted(scan.descriptions.keys() - {best}))
+    notes.append(f"the robot description is {best}; there is {others} too (frames.namespace)")
+    return best
 
 
 def _add_joints(

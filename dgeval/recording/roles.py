@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from dgeval.config import RolesConfig
 from dgeval.errors import Place, UnreadableError, UsageError
 from dgeval.recording.cameras import choose_camera, intrinsics_of, is_aligned
 from dgeval.recording.contract import DGEVAL_PREFIX, TRUTH_PREFIX
 from dgeval.recording.messages import JointSample
+from dgeval.recording.namespaces import Series, differ, namespace_of, of_camera
 from dgeval.recording.scan import Scan
 
+SAME_JOINT = 0.02  # rad or m; two topics that differ by less give one joint's position; ours
 # parts of a topic's name that rule it out as the camera or a state of the robot
 NOT_A_CAMERA = (DGEVAL_PREFIX, TRUTH_PREFIX, "mask", "debug", "annotated", "detection")
 
@@ -111,20 +115,46 @@ def _of_camera(scan: Scan, name: str, colour_frame: str) -> bool:
     return _has(name, "camera", "cam_pose")
 
 
-def merged_joints(scan: Scan, roles: Roles) -> list[JointSample]:
-    """The samples of all topics of joint states, in time order.
+def joint_topics(
+    scan: Scan, roles: Roles, namespace: str | None = None
+) -> tuple[tuple[str, ...], list[str]]:
+    """The topics of joint states of the camera's robot, and namespaces that contradict each other.
+
+    namespace: of the robot, where the configuration names it.
+    """
+    series: dict[str, dict[str, list[tuple[int, float]]]] = {}
+    for topic in roles.joints:
+        of_namespace = series.setdefault(namespace_of(topic), {})
+        for sample in scan.joints.get(topic, []):
+            for name, value in sample.positions.items():
+                of_namespace.setdefault(name, []).append((sample.t_ns, value))
+
+    def values(namespace: str, name: str) -> Series:
+        rows = sorted(series[namespace][name])
+        return np.array([t for t, _ in rows]), np.array([[v] for _, v in rows])
+
+    def contradict(a: str, b: str) -> bool:
+        shared = sorted(series[a].keys() & series[b].keys())
+        return any(differ(values(a, n), values(b, n), SAME_JOINT) for n in shared)
+
+    counts, mixed = of_camera(series, contradict, roles.colour, namespace)
+    return tuple(t for t in roles.joints if namespace_of(t) in counts), mixed
+
+
+def merged_joints(scan: Scan, topics: tuple[str, ...]) -> list[JointSample]:
+    """The samples of several topics of joint states, in time order.
 
     A joint that several topics give counts from the first of them.
     """
+    if len(topics) == 1:
+        return list(scan.joints.get(topics[0], []))
     owner: dict[str, str] = {}
-    for topic in roles.joints:
+    for topic in topics:
         for sample in scan.joints.get(topic, []):
             for name in sample.positions.keys() | sample.efforts.keys():
                 owner.setdefault(name, topic)
-    if len(set(owner.values())) <= 1 and len(roles.joints) <= 1:
-        return list(scan.joints.get(roles.hand_joints or "", []))
     out = []
-    for topic in roles.joints:
+    for topic in topics:
         for s in scan.joints.get(topic, []):
             positions = {n: v for n, v in s.positions.items() if owner[n] == topic}
             efforts = {n: v for n, v in s.efforts.items() if owner[n] == topic}

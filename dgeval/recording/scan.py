@@ -33,10 +33,12 @@ from dgeval.recording.messages import (
     poses_of,
     stamp_ns,
 )
+from dgeval.recording.namespaces import namespace_of
 
 STAMPED = (
     IMAGE_TYPES
     | POSE_TYPES
+    | TF_TYPES
     | {
         "sensor_msgs/msg/CameraInfo",
         "sensor_msgs/msg/JointState",
@@ -75,26 +77,33 @@ class ImageHead:
 
 
 @dataclass
-class Scan:
-    """What one pass keeps of a recording, most of it by topic.
+class Transforms:
+    """The transforms of one namespace, in the order of the file.
 
-    heard_static: by frame, whether the first transform heard of it was a static one.
+    is_static: by frame, whether the first transform heard of it was a static one.
     """
+
+    moving: list[StampedPose] = field(default_factory=list)
+    static: list[StampedPose] = field(default_factory=list)
+    is_static: dict[str, bool] = field(default_factory=dict)
+
+
+@dataclass
+class Scan:
+    """What one pass keeps of a recording, most of it by topic; transforms by namespace."""
 
     opened: Opened
     times: dict[str, TopicTimes] = field(default_factory=lambda: defaultdict(TopicTimes))
     images: dict[str, ImageHead] = field(default_factory=dict)
     cameras: dict[str, CameraModel] = field(default_factory=dict)
     camera_changes: dict[str, int] = field(default_factory=lambda: defaultdict(int))
-    tf: list[StampedPose] = field(default_factory=list)
-    tf_static: list[StampedPose] = field(default_factory=list)
-    heard_static: dict[str, bool] = field(default_factory=dict)
+    tf: dict[str, Transforms] = field(default_factory=lambda: defaultdict(Transforms))
     poses: dict[str, list[StampedPose]] = field(default_factory=lambda: defaultdict(list))
     twists: dict[str, list[tuple[int, Array]]] = field(default_factory=lambda: defaultdict(list))
     joints: dict[str, list[JointSample]] = field(default_factory=lambda: defaultdict(list))
     scores: list[tuple[int, float]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
-    description: str | None = None
+    descriptions: dict[str, str] = field(default_factory=dict)
     undecodable: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     first_undecodable: dict[str, str] = field(default_factory=dict)
 
@@ -118,9 +127,11 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             elif topic.type in TF_TYPES:
                 latched = message.topic.endswith("static")
                 edges = poses_of(opened.decode(message))
+                heard = out.tf[namespace_of(message.topic)]
                 for edge in edges:
-                    out.heard_static.setdefault(edge.child, latched)
-                (out.tf_static if latched else out.tf).extend(edges)
+                    heard.is_static.setdefault(edge.child, latched)
+                (heard.static if latched else heard.moving).extend(edges)
+                times.header_ns.append(edges[0].t_ns if edges else message.log_ns)
             elif topic.type in POSE_TYPES:
                 pose = poses_of(opened.decode(message))[0]
                 times.header_ns.append(pose.t_ns)
@@ -150,7 +161,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 if message.topic == wanted_events:
                     out.events.append(event_of(text, message.log_ns))
                 elif message.topic.endswith(ROBOT_DESCRIPTION[1:]):
-                    out.description = text
+                    out.descriptions[message.topic] = text
             elif message.topic == SCORE_TOPIC:
                 out.scores.append((message.log_ns, float(opened.decode(message).data)))
         except (UndecodableError, ValueError, AttributeError, struct.error) as error:

@@ -18,28 +18,39 @@ SAME = np.array([1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])
 
 @dataclass
 class Track:
-    """A pose over time, stamps rising; poses (7,) px py pz qx qy qz qw."""
+    """A pose over time, stamps rising; poses (7,) px py pz qx qy qz qw, each in its own parent."""
 
     times: list[int] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
+    parents: list[str] = field(default_factory=list)
     out_of_order: int = 0
+    has_one_parent: bool = True
 
-    def add(self, t_ns: int, pose: Array) -> None:
+    def add(self, t_ns: int, pose: Array, parent: str = "") -> None:
         """Add a sample; a repeated stamp is dropped, an older one is sorted in and counted."""
-        if not self.times or t_ns > self.times[-1]:
-            self.times.append(t_ns)
-            self.poses.append(pose)
-            return
-        at = bisect_left(self.times, t_ns)
-        if self.times[at] != t_ns:
+        at = len(self.times)
+        if self.times and t_ns <= self.times[-1]:
+            at = bisect_left(self.times, t_ns)
+            if self.times[at] == t_ns:
+                return
             self.out_of_order += 1
-            self.times.insert(at, t_ns)
-            self.poses.insert(at, pose)
+        self.has_one_parent &= not self.parents or parent == self.parents[0]
+        self.times.insert(at, t_ns)
+        self.poses.insert(at, pose)
+        self.parents.insert(at, parent)
+
+    def parent_at(self, t_ns: int) -> str:
+        """The parent that the pose at a time is given in: as in tf2, the earlier sample's."""
+        if self.has_one_parent:
+            return self.parents[0]
+        at = bisect_left(self.times, t_ns + EXACT_NS + 1) - 1
+        return self.parents[max(at, 0)]
 
     def sample(self, t_ns: int, max_gap_ns: int) -> Array | None:
         """(7,) pose at a time: a sample within EXACT_NS, else interpolated over at most max_gap_ns.
 
-        None outside the samples, or in a longer gap over which the pose changes.
+        None outside the samples, or in a longer gap over which the pose or its parent changes.
+        Between samples with two parents the earlier one counts.
         """
         at = bisect_left(self.times, t_ns)
         for i in (at - 1, at):
@@ -49,8 +60,11 @@ class Track:
             return None
         before, after = self.times[at - 1], self.times[at]
         apart = np.abs(self.poses[at] - self.poses[at - 1])
-        if after - before > max_gap_ns and (apart > SAME).any():
+        moved = self.parents[at] != self.parents[at - 1]
+        if after - before > max_gap_ns and (moved or (apart > SAME).any()):
             return None
+        if moved:
+            return self.poses[at - 1]
         return interpolate_pose(
             self.poses[at - 1], self.poses[at], (t_ns - before) / (after - before)
         )
@@ -64,16 +78,20 @@ class TransformTree:
     moving: dict[str, tuple[str, Track]] = field(default_factory=dict)
     static: dict[str, tuple[str, NDArray[np.float64]]] = field(default_factory=dict)
     computed: dict[str, tuple[str, Callable[[int], Array | None]]] = field(default_factory=dict)
-    reparented: int = 0
 
     def add_moving(self, t_ns: int, parent: str, child: str, pose: Array) -> None:
-        known = self.moving.get(child)
-        if known is None:
-            known = self.moving[child] = (parent, Track())
-        if known[0] != parent:
-            self.reparented += 1  # a frame has one parent in tf; the first one recorded stays
-            return
-        known[1].add(t_ns, pose)
+        """Add a sample; each one has its own parent, as in tf2."""
+        if child not in self.moving:
+            self.moving[child] = (parent, Track())
+        self.moving[child][1].add(t_ns, pose, parent)
+
+    def reparented(self) -> dict[str, list[str]]:
+        """The frames whose parent changes, each with its parents by name."""
+        return {
+            child: sorted(set(track.parents))
+            for child, (_, track) in sorted(self.moving.items())
+            if not track.has_one_parent
+        }
 
     def add_static(self, parent: str, child: str, T_parent_child: Array) -> None:
         self.static[child] = (parent, T_parent_child)
@@ -85,7 +103,10 @@ class TransformTree:
                 out |= {child, edge[0]}
         return out
 
-    def parent(self, frame: str) -> str | None:
+    def parent(self, frame: str, t_ns: int | None = None) -> str | None:
+        """The frame's parent at a time; without one the first that was recorded."""
+        if t_ns is not None and frame in self.moving:
+            return self.moving[frame][1].parent_at(t_ns)
         for edges in (self.moving, self.static, self.computed):
             if frame in edges:
                 return edges[frame][0]
@@ -95,10 +116,10 @@ class TransformTree:
         """The topmost frame above this one; a cycle ends where it closes."""
         return self.ancestors(frame)[-1]
 
-    def ancestors(self, frame: str) -> list[str]:
-        """The frame itself, its parent, and so on up."""
+    def ancestors(self, frame: str, t_ns: int | None = None) -> list[str]:
+        """The frame itself, its parent, and so on up; at a time, or as first recorded."""
         chain = [frame]
-        while (above := self.parent(chain[-1])) is not None and above not in chain:
+        while (above := self.parent(chain[-1], t_ns)) is not None and above not in chain:
             chain.append(above)
         return chain
 
@@ -113,7 +134,7 @@ class TransformTree:
 
     def lookup(self, target: str, source: str, t_ns: int) -> Array | None:
         """T_target_source (4, 4) at a time; None if not connected, or not known then."""
-        up_source, up_target = self.ancestors(source), self.ancestors(target)
+        up_source, up_target = self.ancestors(source, t_ns), self.ancestors(target, t_ns)
         common = next((f for f in up_source if f in up_target), None)
         if common is None:
             return None

@@ -25,7 +25,6 @@ from dgeval.recording.contract import (
 )
 from dgeval.recording.messages import JointSample, StampedPose, cloud_points
 from dgeval.recording.robot import RobotStates
-from dgeval.recording.roles import merged_joints
 from dgeval.recording.trials import Trial
 
 MIN_MODEL_POINTS = 20  # fewer points of the robot's own model say nothing of where the object is
@@ -107,7 +106,7 @@ def log_of(trial: Trial) -> TrialLog:
         trial.event_ns(TRIAL_END_EVENT) is not None,
         bool(trial.damage),
         trial.robot,
-        tuple(merged_joints(scan, trial.roles)),
+        trial.robot.samples,
         round(trial.config.sync.max_pose_gap_s * 1e9),
         trial.config.servo.c_p_v,
         Recorded(

@@ -26,6 +26,7 @@ class Container:
     """Topics without messages."""
 
     kind, checksums = "memory", "none"
+    compressed_messages = False
 
     def __init__(self) -> None:
         self.path = Path("made.mcap")

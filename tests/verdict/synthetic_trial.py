@@ -252,6 +252,7 @@ class Container:
 
     kind = "memory"
     checksums = "none"
+    compressed_messages = False
 
     def __init__(self, models: Sequence[tuple[float, Array]]) -> None:
         self.path = Path("synthetic.mcap")
@@ -306,9 +307,12 @@ def trial_of(
     """
     config = config or Config()
     opened = Opened(Container(models), Path("synthetic.mcap"))
-    found = Scan(opened, description=urdf_of() if description == "own" else description)
+    found = Scan(opened)
+    text = urdf_of() if description == "own" else description
+    if text is not None:
+        found.descriptions["/robot_description"] = text
     found.images[COLOUR] = ImageHead("rgb8", 64, 48, urdf.CAMERA_FRAME, "rgb8")
-    found.tf.extend(hand_poses(RECORDED) if hands is None else hands)
+    found.tf[""].moving.extend(hand_poses(RECORDED) if hands is None else hands)
     found.joints[JOINTS] = joint_samples(RECORDED) if joints is None else joints
     for topic, listed in (poses or {}).items():
         found.poses[topic] = listed
@@ -317,7 +321,7 @@ def trial_of(
     if masks is not None:
         stamps = [ns(t) for t in masks]
         found.times[MASK] = TopicTimes(stamps, stamps)
-    roles = Roles(COLOUR, DEPTH, None, JOINTS, None, None)
+    roles = Roles(COLOUR, DEPTH, None, JOINTS, None, None, joints=(JOINTS,))
     pairs = tuple(Pair(ns(t), k, k) for k, t in enumerate(every(0.05, first, last)))
     robot = robot_states(found, roles, config)
     camera = Camera(Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5), None, None)

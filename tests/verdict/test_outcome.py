@@ -47,7 +47,6 @@ def trial(
     end_s: float | None = None,
     damage: Sequence[str] = (),
     poses: dict[str, list[object]] | None = None,
-    hand_joints: str | None = "/joints",
     missing: str | None = None,
 ) -> Any:
     """A trial whose last frame is `last_s` after the close; the log of the joints is as given."""
@@ -57,12 +56,10 @@ def trial(
         events=every,
         event_ns=lambda kind: next((e.t_ns for e in every if e.kind == kind), None),
         damage=list(damage),
-        robot=None,  # `hand_distance` is replaced where it counts
+        # `hand_distance` is replaced where it counts
+        robot=SimpleNamespace(samples=tuple(joints)),
         pairs=[Pair(START, 0, 0), Pair(at(last_s), 1, 1)],
-        scan=SimpleNamespace(
-            poses=poses or {}, joints={"/joints": list(joints)}, times={}, twists={}
-        ),
-        roles=SimpleNamespace(hand_joints=hand_joints, joints=()),
+        scan=SimpleNamespace(poses=poses or {}, times={}, twists={}),
         config=Config(),
         opened=None,
         close=SimpleNamespace(missing=missing),
@@ -275,9 +272,6 @@ def test_samples_without_efforts_say_nothing() -> None:
     ]
     assert outcome(trial(joints=partly), None) == NOTHING_SAID
     assert outcome(trial(), None) == NOTHING_SAID
-    assert outcome(trial(joints=GRIP, hand_joints=None), None) == NOTHING_SAID, (
-        "no topic has that role"
-    )
 
 
 # jaws

@@ -26,7 +26,7 @@ OTHERS = {
 }
 HEADER_BYTES = 4
 NUMBERS = {
-    "bool": "?1",
+    "bool": "b1",
     "byte": "u1",
     "char": "u1",
     "octet": "u1",
