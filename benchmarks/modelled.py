@@ -22,8 +22,8 @@ from dgeval.hindsight.smoothing import Sighting
 from dgeval.hindsight.surface import CausalFrame
 from dgeval.perception.plane import Plane
 from dgeval.perception.types import Model
-from dgeval.recording.containers.container import Opened
-from dgeval.recording.contract import ROBOT_DESCRIPTION, RawMessage
+from dgeval.recording.containers.container import Opened, RawMessage
+from dgeval.recording.contract import ROBOT_DESCRIPTION
 from dgeval.recording.messages import JointSample, StampedPose
 from dgeval.recording.robot import robot_states
 from dgeval.recording.roles import Roles
