@@ -56,7 +56,6 @@ class Nothing:
     """A container without messages."""
 
     kind: str = "memory"
-    compressed_messages: bool = False
     checksums: str = "none"
     path: Path = Path("modelled")
     topics: dict[str, Any] = field(default_factory=dict)

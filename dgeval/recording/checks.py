@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from dgeval.config import ClockConfig
+from dgeval.recording.containers.opening import missing_parts
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.messages import TF_TYPES
 from dgeval.recording.pairing import Window
@@ -119,6 +120,10 @@ def failed_checks(
 
 def part_check(recording: Path) -> list[Check]:
     """Whether the recording is a part of one that its recorder split, and the rest is not read."""
+    gone = missing_parts(recording) if recording.is_dir() else []
+    if gone:
+        what = f"metadata.yaml lists {', '.join(gone)}, which is not in the folder"
+        return [Check("parts", what, "copy the whole folder")]
     other = unread_part(recording)
     if other is None:
         return []

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, field_validator
 from dgeval.config import read_toml, validated
 from dgeval.errors import Place, UndecodableError, UnreadableError, UsageError
 from dgeval.recording.containers.container import MCAP_MAGIC
-from dgeval.recording.containers.opening import BAG_MAGIC, open_container, stored_files
+from dgeval.recording.containers.opening import BAG_MAGIC, PACKED, open_container, stored_files
 from dgeval.recording.contract import (
     EVENTS_TOPIC,
     FAILURE_LABELS,
@@ -24,7 +24,7 @@ from dgeval.recording.messages import event_of
 from dgeval.recording.splits import split_recordings
 
 SUFFIXES = (".mcap", ".bag", ".db3")
-PACKED = (".zstd", ".zst", ".active")  # behind one of these: compressed as a whole, or unfinished
+UNFINISHED = ".active"  # behind the name of a bag that its recorder did not finish
 NO_RECORDING = (".rrd", ".parquet", ".json", ".toml", ".yaml", ".py", ".md")
 
 
@@ -147,7 +147,7 @@ def _in_folder(folder: Path, events_topic: str | None) -> list[TrialSpec]:
         first = parts[0]
         relative = first.relative_to(folder)
         name = str(relative)
-        while first.is_file() and (suffix := Path(name).suffix) in (*SUFFIXES, *PACKED):
+        while first.is_file() and (suffix := Path(name).suffix) in (*SUFFIXES, *PACKED, UNFINISHED):
             name = name[: -len(suffix)]
         if len(parts) > 1:
             name = name[: -len("_0")]

@@ -14,7 +14,7 @@ from dgeval.errors import UnreadableError
 from dgeval.recording.containers.opening import open_container
 
 NUMBERED = re.compile(
-    r"(?P<stem>.*?)(?:_\d{4}(?:-\d\d){5})?_(?P<k>\d+)(?P<suffix>\.bag|\.mcap|\.db3)"
+    r"(?P<stem>.*?)(?:(?:^|_)\d{4}(?:-\d\d){5})?_(?P<k>\d+)(?P<suffix>\.bag|\.mcap|\.db3)"
 )
 GAP_NS = 2_000_000_000  # ns, at most between two parts; ours
 

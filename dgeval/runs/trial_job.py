@@ -55,7 +55,7 @@ def resume_key(spec: TrialSpec, config: Config, sha256: str) -> str:
 
     The recording's content is part of it; its folder and name are not.
     """
-    about = {k: v for k, v in asdict(spec).items() if k != "recording"}
+    about = {k: v for k, v in asdict(spec).items() if k not in ("recording", "parts")}
     text = json.dumps(
         [__version__, SCHEMA_VERSION, config.model_dump(mode="json"), about, sha256], sort_keys=True
     )

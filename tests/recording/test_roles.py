@@ -26,7 +26,6 @@ class Container:
     """Topics without messages."""
 
     kind, checksums = "memory", "none"
-    compressed_messages = False
 
     def __init__(self) -> None:
         self.path = Path("made.mcap")

@@ -252,7 +252,6 @@ class Container:
 
     kind = "memory"
     checksums = "none"
-    compressed_messages = False
 
     def __init__(self, models: Sequence[tuple[float, Array]]) -> None:
         self.path = Path("synthetic.mcap")

@@ -17,6 +17,7 @@ import zstandard
 
 from dgeval.errors import Damage, Place, UndecodableError, describe
 
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAX_MESSAGE_BYTES = 1 << 30  # a frame that claims more is broken
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 
@@ -50,10 +51,7 @@ class RawMessage:
 
 
 class Container(Protocol):
-    """What a container format implements. `messages` may be called any number of times.
-
-    compressed_messages: each message is a zstd frame by itself, as rosbag2's message mode does it.
-    """
+    """What a container format implements. `messages` may be called any number of times."""
 
     path: Path
     kind: str
@@ -64,16 +62,19 @@ class Container(Protocol):
     def damage(self) -> list[Damage]: ...
 
     @property
-    def compressed_messages(self) -> bool: ...
-
-    @property
     def checksums(self) -> str: ...
 
     def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]: ...
 
 
 def unpacked(message: RawMessage) -> RawMessage:
-    """A message out of its zstd frame; of a broken one without data, which no decoder accepts."""
+    """A CDR message, out of its zstd frame where it is one, as rosbag2's message mode writes it.
+
+    CDR begins with a zero byte, so a frame is known by its own first bytes. Of a broken frame
+    nothing is left, which no decoder accepts.
+    """
+    if not message.data.startswith(ZSTD_MAGIC):
+        return message
     try:
         data = zstandard.ZstdDecompressor().decompress(message.data, MAX_MESSAGE_BYTES)
     except zstandard.ZstdError:
@@ -116,7 +117,8 @@ class Opened:
         for message in self.container.messages(wanted):
             counts[message.topic] += 1
             last_ns = message.log_ns
-            yield unpacked(message) if self.container.compressed_messages else message
+            packed = self.topics[message.topic].encoding == "cdr"
+            yield unpacked(message) if packed else message
         self.counts.update(counts)
         if self.damage:
             return

@@ -73,17 +73,12 @@ class _Chunk:
 
 
 class McapContainer:
-    """An MCAP file. `checksums` says in words which parts have a CRC.
-
-    path: as errors name it. compressed_messages: every message is compressed by itself with zstd,
-    as rosbag2's message mode does it.
-    """
+    """An MCAP file. `checksums` says in words which parts have a CRC."""
 
     kind = "MCAP"
 
-    def __init__(self, path: Path, compressed_messages: bool = False) -> None:
-        self.path, self._source = path, path
-        self.compressed_messages = compressed_messages
+    def __init__(self, path: Path) -> None:
+        self.path, self._source = path, path  # as errors name it, and what is read
         self.damage: list[Damage] = []
         self.topics: dict[str, Topic] = {}
         self.notes: list[str] = []

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 import shutil
 import tempfile
 import weakref
+import zlib
 from pathlib import Path
 
 import zstandard
 
 from dgeval.errors import Place, UnreadableError, describe
-from dgeval.recording.containers.container import MCAP_MAGIC, Container, Opened
+from dgeval.recording.containers.container import MCAP_MAGIC, ZSTD_MAGIC, Container, Opened
 
 BAG_MAGIC = b"#ROSBAG V"
 SQLITE_MAGIC = b"SQLite format 3\x00"
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+GZIP_MAGIC = b"\x1f\x8b"
+PACKED = (".zstd", ".zst", ".gz")  # behind a name: the file is compressed as a whole
 STORED = (".mcap", ".db3")  # what a ROS 2 folder holds, also with .zstd behind it
 METADATA = "metadata.yaml"
-MODE = re.compile(r"^\s*compression_mode:\s*\"?(\w*)\"?\s*$", re.MULTILINE)
 LISTED = re.compile(
     r"^\s*-\s+(?:path:\s*)?\"?([^\s\"]+\.(?:mcap|db3)(?:\.zstd)?)\"?\s*$", re.MULTILINE
 )
@@ -33,12 +35,12 @@ def open_container(path: Path, parts: tuple[Path, ...] = ()) -> Opened:
     place = Place(str(path))
     try:
         if len(parts) > 1:
-            return Opened(_joined(path, list(parts), ""), path)
+            return Opened(_joined(path, list(parts)), path)
         if not path.exists():
             raise UnreadableError("no such file or folder", place)
         if path.is_dir():
             return Opened(_folder(path), path)
-        return Opened(_file(path, _mode_beside(path)), path)
+        return Opened(_file(path), path)
     except OSError as error:
         raise UnreadableError(f"can't be opened ({error.strerror})", place) from error
 
@@ -64,19 +66,9 @@ def stored_files(folder: Path) -> list[Path]:
     return sorted(files, key=key)
 
 
-def _mode_beside(file: Path) -> str:
-    """The compression mode that a metadata.yaml beside a file gives it; "" without."""
-    metadata = file.parent / METADATA
-    if not metadata.is_file():
-        return ""
-    text = metadata.read_text(encoding="utf-8", errors="replace")
-    mode, listed = MODE.search(text), [Path(name).name for name in LISTED.findall(text)]
-    return mode[1].upper() if mode and file.name in listed else ""
-
-
 def _bare(path: Path) -> Path:
-    """The path without a .zstd at its end."""
-    return path.with_suffix("") if path.suffix == ".zstd" else path
+    """The path without the suffix of a compression at its end."""
+    return path.with_suffix("") if path.suffix in PACKED else path
 
 
 def _folder(path: Path) -> Container:
@@ -90,7 +82,6 @@ def _folder(path: Path) -> Container:
         )
     metadata = path / METADATA
     text = metadata.read_text(encoding="utf-8", errors="replace") if metadata.is_file() else ""
-    mode = MODE.search(text)
     # a recorder that died leaves no metadata.yaml; rosbag2 names the parts after their folder
     own = len(files) > 1 and all(
         re.fullmatch(rf"{re.escape(path.name)}_\d+", _bare(f).stem) for f in files
@@ -103,18 +94,29 @@ def _folder(path: Path) -> Container:
             Place(str(path)),
             "give them one by one, or in a manifest",
         )
-    return _joined(path, files, mode[1].upper() if mode else "")
+    return _joined(path, files)
 
 
-def _joined(path: Path, files: list[Path], mode: str) -> Container:
+def missing_parts(folder: Path) -> list[str]:
+    """Files that a ROS 2 folder's metadata.yaml lists, and that are not there."""
+    metadata = folder / METADATA
+    if not metadata.is_file():
+        return []
+    text = metadata.read_text(encoding="utf-8", errors="replace")
+    there = {name for p in folder.iterdir() for name in (p.name, _bare(p).name)}
+    listed = sorted({Path(name).name for name in LISTED.findall(text)})
+    return [n for n in listed if n not in there and _bare(Path(n)).name not in there]
+
+
+def _joined(path: Path, files: list[Path]) -> Container:
     from dgeval.recording.containers.parts import PartsContainer
 
-    opened = [_file(file, mode) for file in files]
+    opened = [_file(file) for file in files]
     return opened[0] if len(opened) == 1 else PartsContainer(path, opened)
 
 
-def _file(path: Path, mode: str) -> Container:
-    """One file by its first bytes. mode: MESSAGE where every message is compressed by itself."""
+def _file(path: Path) -> Container:
+    """One file by its first bytes."""
     from dgeval.recording.containers.mcap import McapContainer
     from dgeval.recording.containers.rosbags import RosbagsContainer
 
@@ -123,12 +125,12 @@ def _file(path: Path, mode: str) -> Container:
         head = stream.read(16)
     if not head:
         raise UnreadableError("the file is empty", place)
-    if head.startswith(ZSTD_MAGIC):
-        return _decompressed(path, mode)
+    if head.startswith((ZSTD_MAGIC, GZIP_MAGIC)):
+        return _decompressed(path)
     if head.startswith(MCAP_MAGIC):
-        return McapContainer(path, compressed_messages=mode == "MESSAGE")
+        return McapContainer(path)
     if head.startswith(BAG_MAGIC) or head == SQLITE_MAGIC:
-        return RosbagsContainer(path, compressed_messages=mode == "MESSAGE")
+        return RosbagsContainer(path)
     hint: str | None = None
     if head.startswith(b"version https://"):
         hint = "this is a git-LFS pointer, not the recording: run `git lfs pull`"
@@ -139,18 +141,25 @@ def _file(path: Path, mode: str) -> Container:
     )
 
 
-def _decompressed(path: Path, mode: str) -> Container:
+def _decompressed(path: Path) -> Container:
     """A file that was compressed as a whole, from a temporary copy that lives with the reader."""
     folder = tempfile.mkdtemp(prefix="dgeval-")
     copy = Path(folder) / _bare(path).name
+    with path.open("rb") as stream:
+        is_gzip = stream.read(2) == GZIP_MAGIC
+    kind, hint = ("gzip", "`gunzip`") if is_gzip else ("zstd", "`zstd -d`")
     try:
         with path.open("rb") as packed, copy.open("wb") as plain:
-            zstandard.ZstdDecompressor().copy_stream(packed, plain)
-    except zstandard.ZstdError as error:
+            if is_gzip:
+                with gzip.open(packed) as unpacked:
+                    shutil.copyfileobj(unpacked, plain)
+            else:
+                zstandard.ZstdDecompressor().copy_stream(packed, plain)
+    except (zstandard.ZstdError, gzip.BadGzipFile, EOFError, zlib.error) as error:
         shutil.rmtree(folder, ignore_errors=True)
-        what = f"its zstd compression is damaged ({describe(error)})"
-        raise UnreadableError(what, Place(str(path)), "`zstd -d` may save a part") from error
-    container = _file(copy, mode)
+        what = f"its {kind} compression is damaged ({describe(error)})"
+        raise UnreadableError(what, Place(str(path)), f"{hint} may save a part") from error
+    container = _file(copy)
     container.path = path
     weakref.finalize(container, shutil.rmtree, folder, ignore_errors=True)
     return container

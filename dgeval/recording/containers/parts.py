@@ -29,10 +29,6 @@ class PartsContainer:
         self.notes = list(dict.fromkeys(note for part in parts for note in part.notes))
 
     @property
-    def compressed_messages(self) -> bool:
-        return any(part.compressed_messages for part in self._parts)
-
-    @property
     def damage(self) -> list[Damage]:
         """The damage of all parts, of each what it found so far."""
         return _Joined(self._parts)

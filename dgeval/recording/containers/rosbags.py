@@ -28,9 +28,8 @@ class RosbagsContainer:
 
     checksums = "none in this format: only a manifest with sha256 can tell changed bytes"
 
-    def __init__(self, path: Path, compressed_messages: bool = False) -> None:
-        """compressed_messages: of a bare file, each one as a zstd frame."""
-        self.path, self.compressed_messages = path, compressed_messages
+    def __init__(self, path: Path) -> None:
+        self.path = path
         self.damage: list[Damage] = []
         self.topics: dict[str, Topic] = {}
         self.notes: list[str] = []
@@ -111,6 +110,9 @@ class RosbagsContainer:
         except Exception as error:  # rosbags lets errors of yaml, sqlite, zstd and struct through
             what = f"the {self.kind} can't be opened ({describe(error)})"
             hint = "`rosbag reindex` may bring it back" if self.kind == "ROS 1 bag" else None
+            if self.path.suffix == ".active":
+                what = "its recorder did not finish the bag, so that it has no index"
+                hint = "name it .bag and run `rosbag reindex`"
             raise UnreadableError(what, Place(str(self.path)), hint) from error
         return reader
 
