@@ -13,7 +13,7 @@ from dgeval.errors import Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics, matrix_from_pose
 from dgeval.recording.alignment import Alignment
 from dgeval.recording.lens import Lens, lens_of
-from dgeval.recording.messages import CameraModel
+from dgeval.recording.messages import CAMERA_INFO, CameraModel
 from dgeval.recording.roles import Roles, aligned
 from dgeval.recording.scan import Scan
 from dgeval.recording.transforms import TransformTree
@@ -140,8 +140,15 @@ def _intrinsics(
             for n, m in sorted(scan.cameras.items())
         )
         of = f" of {colour_topic} (frame {head.frame_id!r})" if others else ""
+        unread = "; ".join(
+            f"{name} can't be used: {why}"
+            for name, why in sorted(scan.first_undecodable.items())
+            if scan.opened.topics[name].type == CAMERA_INFO
+        )
         raise UsageError(
-            f"no camera intrinsics{of} recorded" + (f"; there are {others}" if others else ""),
+            f"no camera intrinsics{of} recorded"
+            + (f"; there are {others}" if others else "")
+            + (f"; {unread}" if unread else ""),
             Place(str(scan.opened.path)),
             "give --set 'calibration.intrinsics=[fx, fy, cx, cy]'",
         )

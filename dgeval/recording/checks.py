@@ -11,10 +11,20 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dgeval.config import ClockConfig
 from dgeval.recording.containers.opening import missing_parts
+from dgeval.recording.contract import (
+    CLOSE_EVENT,
+    FAILURE_LABELS,
+    LIFT_EVENT,
+    SUCCESS_LABELS,
+    label_of,
+)
+from dgeval.recording.events import Events
 from dgeval.recording.frame_reader import FrameReader, LostFrames
+from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.messages import TF_TYPES
 from dgeval.recording.pairing import Window
 from dgeval.recording.robot import RobotStates
@@ -28,6 +38,7 @@ LEAST_DEPTH_M, MOST_DEPTH_M = 0.08, 10.0
 MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 LEAST_POSES = 0.5  # share of the frames that must have a camera pose; ours
+BESIDE_NS = 5_000_000_000  # ns, by which a command may lie before or after all images; ours
 MOST_DROPPED = 0.1  # share of a stream whose stamps can't be used; ours
 
 
@@ -116,6 +127,43 @@ def failed_checks(
     if unit is not None:
         failed.append(unit)
     return failed, [note] if note else []
+
+
+def event_checks(
+    events: Events, scan: Scan, colour_ns: NDArray[np.int64], spec: TrialSpec
+) -> list[Check]:
+    """Whether what was marked can be used: words that are not understood or contradict each other,
+    and commands at times without images. What a person gave in the spec needs no mark.
+
+    colour_ns: of all usable colour images.
+    """
+    failed: list[Check] = []
+    mend = "give it with --label success|failure, or label in a manifest"
+    known: dict[str, int] = {}
+    for event, text in events.labels() if spec.label is None else ():
+        label = label_of(text)
+        if label is None:
+            words = ", ".join((*SUCCESS_LABELS, *FAILURE_LABELS))
+            what = f"the label {text!r} is not understood (understood are true, false, {words})"
+            failed.append(Check("label", what, mend))
+        else:
+            known.setdefault(label, event.t_ns)
+    if len(known) > 1:
+        first, second = sorted(known, key=lambda label: known[label])
+        later = (known[second] - known[first]) * 1e-9
+        what = f"two labels contradict each other: {first}, and {second} {later:.2f} s later"
+        failed.append(Check("label", what, mend))
+    if len(colour_ns) and spec.close_ns is None and spec.close_after_s is None:
+        first_ns, last_ns = int(colour_ns[0]) - BESIDE_NS, int(colour_ns[-1]) + BESIDE_NS
+        for event in scan.events:
+            if event.kind in (CLOSE_EVENT, LIFT_EVENT) and not first_ns <= event.t_ns <= last_ns:
+                off = (event.t_ns - int(colour_ns[0])) * 1e-9
+                what = f"a {event.kind} is marked {off:+.2f} s from the first image, outside of all"
+                failed.append(
+                    Check("events", what, "its t_ns is a stamp in ns; or give --close TIME")
+                )
+                break
+    return failed
 
 
 def part_check(recording: Path) -> list[Check]:

@@ -40,6 +40,7 @@ BEFORE_LIFT_NS = 120_000_000
 # RISES_M within RISES_S of that; ours
 RISES_M, RISES_S, AFTER_S = 0.05, 1.0, 1.0
 RISING_M = 0.005  # m, from which on it is rising
+SEEN = 0.9  # share of the trial in which the fingers must be known, to say that they never closed
 MENDS = "mark it with --close TIME, or close_ns in a manifest"
 
 
@@ -78,11 +79,12 @@ def close_of(
         return CloseKnown(_with(events, CLOSE_EVENT, given_ns), "given", None, note)
     if events.first_ns(CLOSE_EVENT) is not None:
         return CloseKnown(events, "recorded", None)
-    if events.first_ns(TRIAL_END_EVENT) is not None:
-        return CloseKnown(events, None, None)  # the robot writes its events, and it did not close
     found = _inferred(robot, first_ns, last_ns)
-    if isinstance(found, str):
-        return CloseKnown(events, None, f"{found}; {MENDS}")
+    if isinstance(found, NoClose):
+        if found.fingers_seen and events.first_ns(TRIAL_END_EVENT) is not None:
+            # the robot writes its events, none is a close, and its fingers agree
+            return CloseKnown(events, None, None)
+        return CloseKnown(events, None, f"no moment of closing is marked{found.why}; {MENDS}")
     close_ns, lift_at, period_s = found
     events = _with(events, CLOSE_EVENT, close_ns)
     if lift_ns is None:
@@ -103,22 +105,32 @@ def _with(events: Events, kind: str, t_ns: int) -> Events:
     )
 
 
-def _inferred(robot: RobotStates, first_ns: int, last_ns: int) -> tuple[int, int, float] | str:
+@dataclass(frozen=True)
+class NoClose:
+    """Why the fingers show no close; whether they were seen throughout."""
+
+    why: str
+    fingers_seen: bool
+
+
+def _inferred(robot: RobotStates, first_ns: int, last_ns: int) -> tuple[int, int, float] | NoClose:
     """Close and lift, ns, and the period of the joint states, s; or why they are not known."""
     tips = _finger_ends(robot)
     if len(tips) < 2:
-        return (
-            "no moment of closing is marked, and no fingers that move are known "
-            "(joint states of the hand and a robot description are needed)"
+        return NoClose(
+            ", and no fingers that move are known "
+            "(joint states of the hand and a robot description are needed)",
+            False,
         )
     times, width = _width(robot, tips, first_ns, last_ns)
     if len(times) < 20:
-        return "no moment of closing is marked, and the fingers' joint states are not recorded"
+        return NoClose(", and the fingers' joint states are not recorded", False)
+    seen = len(times) * STEP_NS >= SEEN * (last_ns - first_ns)
     if float(np.ptp(width)) < LEAST_M:
-        return "no moment of closing is marked, and the fingers hardly move"
+        return NoClose(", and the fingers hardly move", seen)
     motions = _closing_motions(times, width)
     if not motions:
-        return "no moment of closing is marked, and the fingers never close"
+        return NoClose(", and the fingers never close", seen)
     for k in reversed(range(len(motions))):
         start, end = motions[k]
         while k and start - motions[k - 1][1] < RESTING_NS:
@@ -129,10 +141,7 @@ def _inferred(robot: RobotStates, first_ns: int, last_ns: int) -> tuple[int, int
             period = float(np.median(np.diff(times))) * 1e-9
             return start, lift, period
     at = (motions[-1][0] - first_ns) * 1e-9
-    return (
-        f"no moment of closing is marked; fingers close at {at:+.2f} s, but the palm does not rise "
-        "after it"
-    )
+    return NoClose(f"; fingers close at {at:+.2f} s, but the palm does not rise after it", seen)
 
 
 def _finger_ends(robot: RobotStates) -> tuple[str, ...]:

@@ -96,7 +96,10 @@ NOTES_KEY: Final = "notes"
 """Key of a list of sentences about how the recording was made."""
 
 LABEL_KEY: Final = "label"
-"""Key of an operator's label, one of SUCCESS_LABELS or FAILURE_LABELS in any case."""
+"""Key of an operator's label: true, false, or one of SUCCESS_LABELS or FAILURE_LABELS, any case."""
+
+LABEL_KEYS: Final = (LABEL_KEY, "outcome", "result", "success")
+"""Keys under which a label is looked for, in this order; dgeval writes the first."""
 
 SUCCESS_LABELS: Final = ("success", "succeeded", "successful", "pass", "passed", "ok")
 """Words of an operator for a success."""
@@ -107,6 +110,8 @@ FAILURE_LABELS: Final = ("failure", "fail", "failed", "unsuccessful")
 
 def label_of(text: object) -> Literal["success", "failure"] | None:
     """What an operator's label says; None for a word that is neither."""
+    if isinstance(text, bool):
+        return "success" if text else "failure"
     word = str(text).strip().lower()
     if word in SUCCESS_LABELS:
         return "success"

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
-from dgeval.recording.contract import NOTES_KEY, TRIAL_START_EVENT, EventKind
+from dgeval.recording.contract import (
+    LABEL_EVENT,
+    LABEL_KEYS,
+    NOTES_KEY,
+    TRIAL_START_EVENT,
+    EventKind,
+    label_of,
+)
 from dgeval.recording.messages import Event
 
 AFTER_NS = 1_000_000_000  # ns; events this long after a trial's last frame still belong to it
@@ -23,6 +31,15 @@ class Events:
     def first_ns(self, kind: EventKind) -> int | None:
         """Time of the first event of a kind, ns; None without one."""
         return next((e.t_ns for e in self.entries if e.kind == kind), None)
+
+    def labels(self) -> list[tuple[Event, object]]:
+        """Each label with what it holds, as written; None where it holds nothing."""
+        found = [e for e in self.entries if e.kind == LABEL_EVENT]
+        return [(e, next((e.fields[k] for k in LABEL_KEYS if k in e.fields), None)) for e in found]
+
+    def label(self) -> Literal["success", "failure"] | None:
+        """What the first label that can be read says."""
+        return next((known for _, text in self.labels() if (known := label_of(text))), None)
 
     def notes(self) -> list[str]:
         """What the entries at the trial's start say about how it was recorded."""

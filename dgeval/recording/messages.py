@@ -15,6 +15,7 @@ from dgeval.recording.contract import (
     EVENT_KINDS,
     LABEL_EVENT,
     LABEL_KEY,
+    LABEL_KEYS,
     TIME_KEY,
     label_of,
 )
@@ -22,6 +23,7 @@ from dgeval.recording.contract import (
 IMAGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"})
 # the second is the older name of the same fields
 TF_TYPES = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 POSE_TYPES = frozenset(
     {
         "geometry_msgs/msg/PoseStamped",
@@ -225,31 +227,42 @@ def joints_of(message: Any) -> JointSample:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An entry of /dgeval/events: time, ns, kind, and the other fields as written."""
+    """An entry of /dgeval/events: time, ns, kind, and the other fields as written.
+
+    is_log_time: the message has no time of its own, and was logged then.
+    """
 
     t_ns: int
     kind: str
     fields: dict[str, Any]
+    is_log_time: bool = False
 
 
 def event_of(text: str, log_ns: int) -> Event:
     """From JSON {"event": kind, …}, or the kind alone; its own "t_ns" goes before the log time.
 
-    A success or failure label alone is a label. ValueError for anything else.
+    A label alone is a label, also as JSON without a kind. ValueError for anything else.
     """
     word = text.strip().strip('"').lower()
     if word in EVENT_KINDS:
-        return Event(log_ns, word, {})
+        return Event(log_ns, word, {}, True)
     if label_of(word) is not None:
-        return Event(log_ns, LABEL_EVENT, {LABEL_KEY: word})
+        return Event(log_ns, LABEL_EVENT, {LABEL_KEY: word}, True)
     try:
         value = json.loads(text)
-    except RecursionError as error:
-        raise ValueError("an event nested too deep") from error
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"not an event: {text[:80]!r}") from error
+    if isinstance(value, dict) and EVENT_KEY not in value and any(k in value for k in LABEL_KEYS):
+        value = {EVENT_KEY: LABEL_EVENT, **value}
     if not isinstance(value, dict) or not isinstance(value.get(EVENT_KEY), str):
         raise ValueError(f"not an event: {text[:80]!r}")
     t_ns = value.get(TIME_KEY, log_ns)
-    if not isinstance(t_ns, int):
+    if not isinstance(t_ns, int) or isinstance(t_ns, bool):
         raise ValueError(f"t_ns of an event is not a whole number: {text[:80]!r}")
+    kind = value[EVENT_KEY].strip().lower()
     fields = {k: v for k, v in value.items() if k not in (EVENT_KEY, TIME_KEY)}
-    return Event(t_ns, value[EVENT_KEY], fields)
+    if kind not in EVENT_KINDS and label_of(kind) is not None:
+        kind, fields = LABEL_EVENT, {LABEL_KEY: kind, **fields}
+    elif kind not in EVENT_KINDS:
+        kind = value[EVENT_KEY]
+    return Event(t_ns, kind, fields, TIME_KEY not in value)

@@ -19,6 +19,7 @@ from dgeval.recording.containers.container import Opened, RawMessage
 from dgeval.recording.contract import EVENTS_TOPIC, ROBOT_DESCRIPTION, SCORE_TOPIC
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import (
+    CAMERA_INFO,
     IMAGE_TYPES,
     POSE_TYPES,
     TF_TYPES,
@@ -40,7 +41,7 @@ STAMPED = (
     | POSE_TYPES
     | TF_TYPES
     | {
-        "sensor_msgs/msg/CameraInfo",
+        CAMERA_INFO,
         "sensor_msgs/msg/JointState",
         "geometry_msgs/msg/TwistStamped",
     }
@@ -143,7 +144,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 out.twists[message.topic].append(
                     (times.header_ns[-1], np.array([v.x, v.y, v.z, w.x, w.y, w.z]))
                 )
-            elif topic.type == "sensor_msgs/msg/CameraInfo":
+            elif topic.type == CAMERA_INFO:
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
                 matrix = message.data[20:]  # after the stamp; equal bytes are not decoded again
                 if seen_camera.get(message.topic) != matrix:

@@ -12,7 +12,7 @@ from dgeval.config import Config
 from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics
 from dgeval.recording.camera import camera_of
-from dgeval.recording.checks import Check, clock_check, failed_checks, part_check
+from dgeval.recording.checks import Check, clock_check, event_checks, failed_checks, part_check
 from dgeval.recording.closes import CloseKnown, close_of
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
@@ -113,7 +113,8 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     colour, depth = image_topics(scanned, roles)
     robot = robot_states(scanned, roles, config)
     try:
-        window = window_of(pair_images(scanned, colour, depth, config), spec, opened.damage)
+        pairing = pair_images(scanned, colour, depth, config)
+        window = window_of(pairing, spec, opened.damage)
     except UnreadableError as error:
         clocks, _ = clock_check(scanned, roles, config.clock)
         if clocks is None:
@@ -145,6 +146,7 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock)
     if not spec.parts:
         checks += part_check(spec.recording)
+    checks += event_checks(marked, scanned, pairing.colour_ns, spec)
     notes += [*([close.note] if close.note else []), *hints, *(str(c) for c in checks)]
     return Trial(
         replace(spec, start_ns=window.start_ns, end_ns=window.end_ns),

@@ -14,14 +14,11 @@ from dgeval.recording.contract import (
     CLOSE_EVENT,
     COMMAND_TOPIC,
     GRASP_TOPIC,
-    LABEL_EVENT,
-    LABEL_KEY,
     MASK_TOPIC,
     MODEL_TOPIC,
     TARGET_TOPIC,
     TRIAL_END_EVENT,
     VELOCITY_TOPIC,
-    label_of,
 )
 from dgeval.recording.messages import JointSample, StampedPose, cloud_points
 from dgeval.recording.robot import RobotStates
@@ -84,14 +81,7 @@ def log_of(trial: Trial) -> TrialLog:
     """What a verdict reads of a trial. Call it after the last pass over the images: reading them
     finds damage.
     """
-    label = trial.spec.label or next(
-        (
-            known
-            for e in trial.events
-            if e.kind == LABEL_EVENT and (known := label_of(e.fields.get(LABEL_KEY))) is not None
-        ),
-        None,
-    )
+    label = trial.spec.label or trial.events.label()
     scan = trial.scan
     stamps = np.zeros(0, dtype=np.int64)
     if MASK_TOPIC in scan.times:

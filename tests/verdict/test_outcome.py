@@ -19,6 +19,7 @@ from dgeval.config import Config
 from dgeval.geometry import Array
 from dgeval.hindsight.smoothing import Sighting
 from dgeval.perception.plane import Plane
+from dgeval.recording.events import Events
 from dgeval.recording.messages import Event, JointSample
 from dgeval.recording.pairing import Pair
 from dgeval.verdict.log import log_of
@@ -53,7 +54,7 @@ def trial(
     every = [*events, *([Event(CLOSE, "close", {})] if closed else [])]
     return SimpleNamespace(
         spec=SimpleNamespace(label=label, end_ns=None if end_s is None else at(end_s)),
-        events=every,
+        events=Events(tuple(every)),
         event_ns=lambda kind: next((e.t_ns for e in every if e.kind == kind), None),
         damage=list(damage),
         # `hand_distance` is replaced where it counts
