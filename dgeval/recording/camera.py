@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os.path import commonpath
 
 import cv2
 import numpy as np
@@ -74,13 +75,28 @@ def camera_of(
             scan, colour_topic, depth_topic, roles.depth_intrinsics, intrinsics, tree, t_ns, config
         )
         frames = scan.images[depth_topic].frame_id, scan.images[colour_topic].frame_id
+        if depth_lens is not None:
+            notes.append(
+                f"the depth camera's lens distortion of up to {depth_lens.most_px:.1f} px is taken "
+                "out"
+            )
         notes.append(
             f"depth of {depth_topic} ({frames[0]}) is brought into the colour camera ({frames[1]})"
         )
+    scale = config.depth_scale
+    if scale is None and scan.images[depth_topic].encoding != "32FC1":
+        scale = _stated_unit(scan, depth_topic)
     mask = _static_mask(config, intrinsics)
     if mask is not None and lens is not None:
         mask = lens.mask(mask)
-    return Camera(intrinsics, config.depth_scale, mask, tuple(notes), alignment, lens, depth_lens)
+    return Camera(intrinsics, scale, mask, tuple(notes), alignment, lens, depth_lens)
+
+
+def _stated_unit(scan: Scan, depth_topic: str) -> float | None:
+    """m per unit, where the recorder stated the depth sensor's option; None without."""
+    near = sorted(scan.depth_units, key=lambda n: (-len(commonpath([n, depth_topic])), n))
+    unit = scan.depth_units[near[0]] if near else None
+    return unit if unit is not None and np.isfinite(unit) and unit > 0 else None
 
 
 def _alignment(

@@ -7,7 +7,6 @@ the same ones. A check that a team knows of is accepted by name (`checks.accept`
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from dgeval.recording.contract import (
     SUCCESS_LABELS,
     label_of,
 )
+from dgeval.recording.depth_unit import wrong_unit
 from dgeval.recording.events import Events
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.manifest import TrialSpec
@@ -32,13 +32,14 @@ from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
 from dgeval.recording.splits import unread_part
 
-SAMPLED = 3  # frames whose depth is looked at
-# m, between which the middle depth of a manipulation scene lies; ours
-LEAST_DEPTH_M, MOST_DEPTH_M = 0.08, 10.0
+SAMPLED = 12  # frames of a trial whose depth is looked at
 MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 LEAST_POSES = 0.5  # share of the frames that must have a camera pose; ours
 BESIDE_NS = 5_000_000_000  # ns, by which a command may lie before or after all images; ours
+CLOCK_STEP_S = 0.5  # s, by which a clock is said to have been set; ours
+BEFORE_AFTER = 5  # images on each side of a step that must agree
+LONGEST_GAP_S = 1.0  # s, as long as velocity and model are carried on (`estimation`)
 MOST_DROPPED = 0.1  # share of a stream whose stamps can't be used; ours
 
 
@@ -113,6 +114,7 @@ def failed_checks(
             failed.append(
                 Check("stamps", f"{what} and are not used", "see `dgeval inspect` for its clock")
             )
+    failed += [*_clock_steps(scan, roles), *_gap(window)]
     if robot.conflict:
         mend = "name the camera's robot: --set frames.namespace=/NAME"
         failed.append(Check("robots", robot.conflict, mend))
@@ -123,10 +125,43 @@ def failed_checks(
             what = f"the camera's pose in {robot.base_frame!r} is known in {known} of {len(times)}"
             mend = "look at the times of /tf or joint states in `dgeval inspect`; clock.*.offset_ns"
             failed.append(Check("poses", f"{what} frames", mend))
-    unit = _depth_unit(reader)
+    assert roles.depth is not None
+    unit = _depth_unit(reader, scan.images[roles.depth].encoding != "32FC1")
     if unit is not None:
         failed.append(unit)
     return failed, [note] if note else []
+
+
+def _clock_steps(scan: Scan, roles: Roles) -> list[Check]:
+    """Whether the camera's clock was set in mid-recording: stamps jump and the log does not."""
+    assert roles.colour is not None
+    header, log = scan.times[roles.colour].arrays()
+    header, log = header[header > 0], log[header > 0]
+    if len(header) < 2 * BEFORE_AFTER:
+        return []
+    late = (log - header) * 1e-9
+    for k in np.flatnonzero(np.abs(np.diff(late)) > CLOCK_STEP_S) + 1:
+        before, after = late[max(0, k - BEFORE_AFTER) : k], late[k : k + BEFORE_AFTER]
+        step = float(np.median(before) - np.median(after))
+        if min(len(before), len(after)) >= BEFORE_AFTER and abs(step) > CLOCK_STEP_S:
+            at = (int(log[k]) - int(log[0])) * 1e-9
+            what = f"the camera's clock is set by {step:+.2f} s, {at:.2f} s into the recording"
+            return [Check("stamps", what, "cut the recording there (start_ns, end_ns)")]
+    return []
+
+
+def _gap(window: Window) -> list[Check]:
+    """Whether images are missing in mid-trial for longer than an estimate is carried on."""
+    stamps = np.array([p.t_ns for p in window.pairs], dtype=np.int64)
+    if len(stamps) < 3:
+        return []
+    steps = np.diff(stamps) * 1e-9
+    k = int(np.argmax(steps))
+    if steps[k] <= max(LONGEST_GAP_S, 5 * float(np.median(steps))):
+        return []
+    at = (stamps[k] - stamps[0]) * 1e-9
+    what = f"no images for {steps[k]:.2f} s, from {at:+.2f} s on"
+    return [Check("gap", what, "what happens there is not judged; look for the recorder's losses")]
 
 
 def event_checks(
@@ -184,22 +219,16 @@ def part_check(recording: Path) -> list[Check]:
     ]
 
 
-def _depth_unit(reader: FrameReader) -> Check | None:
-    """Whether the depth of the first frames can be metres."""
-    quiet = replace(reader, lost=LostFrames([]))
-    depths = [f.depth[f.depth > 0] for f in islice(quiet.frames(), SAMPLED)]
-    readings = np.concatenate(depths) if depths else np.zeros(0)
-    if not len(readings):
+def _depth_unit(reader: FrameReader, is_integer: bool) -> Check | None:
+    """Whether the depth of a few frames can be metres."""
+    at = np.unique(np.linspace(0, len(reader.pairs) - 1, SAMPLED).astype(int))
+    pairs = tuple(reader.pairs[k] for k in at)
+    found = wrong_unit(list(replace(reader, pairs=pairs, lost=LostFrames([])).frames()))
+    if found is None:
         return None
-    middle = float(np.median(readings))
-    if LEAST_DEPTH_M <= middle <= MOST_DEPTH_M:
-        return None
+    what, factor = found
     scale = reader.camera.depth_scale
-    stated = "as the file says it" if scale is None else f"with calibration.depth_scale={scale:g}"
-    factor = 1e-3 if middle > MOST_DEPTH_M else 1e3
-    proposed = f"{(scale or 1.0) * factor:g}"
-    return Check(
-        "depth_unit",
-        f"the middle depth of the first frames is {middle:.3g} m {stated}, which no scene has",
-        f"set calibration.depth_scale, in m per unit (millimetres in floats: {proposed})",
-    )
+    stated = "" if scale is None else f" with a scale of {scale:g}"
+    used = scale or (1e-3 if is_integer else 1.0)
+    mend = f"set calibration.depth_scale, in m per unit (about {used * factor:.2g})"
+    return Check("depth_unit", f"{what}{stated}", mend)

@@ -65,6 +65,9 @@ TRUTH_CONTACTS_TOPIC: Final = "/truth/contacts"
 TRUTH_VERDICT_TOPIC: Final = "/truth/verdict"
 """std_msgs/String, JSON: outcome, class of failure, sub-cause and blame."""
 
+DEPTH_UNIT: Final = "/option/Depth_Units/value"
+"""End of a topic's name, Float32: m per unit of depth, as librealsense's recorder states it."""
+
 EventKind = Literal["trial_start", "close", "lift", "trial_end", "label"]
 """What an entry of EVENTS_TOPIC may say. Other kinds are kept and shown, and mean nothing."""
 

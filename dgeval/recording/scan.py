@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dgeval.errors import Damage, Place, UndecodableError
 from dgeval.geometry import Array
 from dgeval.recording.containers.container import Opened, RawMessage
-from dgeval.recording.contract import EVENTS_TOPIC, ROBOT_DESCRIPTION, SCORE_TOPIC
+from dgeval.recording.contract import DEPTH_UNIT, EVENTS_TOPIC, ROBOT_DESCRIPTION, SCORE_TOPIC
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import (
     CAMERA_INFO,
@@ -91,7 +91,10 @@ class Transforms:
 
 @dataclass
 class Scan:
-    """What one pass keeps of a recording, most of it by topic; transforms by namespace."""
+    """What one pass keeps of a recording, most of it by topic; transforms by namespace.
+
+    depth_units: m per unit, by the topic of librealsense's option.
+    """
 
     opened: Opened
     times: dict[str, TopicTimes] = field(default_factory=lambda: defaultdict(TopicTimes))
@@ -105,6 +108,7 @@ class Scan:
     scores: list[tuple[int, float]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     descriptions: dict[str, str] = field(default_factory=dict)
+    depth_units: dict[str, float] = field(default_factory=dict)
     undecodable: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     first_undecodable: dict[str, str] = field(default_factory=dict)
 
@@ -163,6 +167,8 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                     out.events.append(event_of(text, message.log_ns))
                 elif message.topic.endswith(ROBOT_DESCRIPTION[1:]):
                     out.descriptions[message.topic] = text
+            elif message.topic.endswith(DEPTH_UNIT):
+                out.depth_units[message.topic] = round(float(opened.decode(message).data), 9)
             elif message.topic == SCORE_TOPIC:
                 out.scores.append((message.log_ns, float(opened.decode(message).data)))
         except (UndecodableError, ValueError, AttributeError, struct.error) as error:

@@ -1,0 +1,95 @@
+"""Whether depth is in metres, by what a scene can be and by the camera's own motion.
+
+A camera that moves by a known way past things that stand still sees their depth change by that way.
+Depth in a wrong unit changes by ten times too much, or too little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from dgeval.geometry import Array, Intrinsics, invert
+from dgeval.recording.frame import Frame
+
+# m, between which the middle depth of a manipulation scene lies; ours
+LEAST_DEPTH_M, MOST_DEPTH_M = 0.08, 10.0
+MOVED_M = 0.05  # m, between two frames, from which on the camera's motion tells; ours
+MOST_MOVED_M = 0.25  # m; frames farther apart hardly show the same things
+FACTORS = np.geomspace(0.03, 30.0, 61)  # tried, 1.0 in the middle; neighbours differ by 12 %
+LEAST_VOTES, AGREE = 3, 1.5  # pairs that must vote, and the factor within which half must agree
+SURE = 1.8  # factor, from which on a unit is called wrong; ours
+# share of the depth, by which a unit that is called wrong must fit worse: against the best, and at
+# least; ours
+WORSE, LEAST_WORSE = 3.0, 0.02
+EVERY = 7  # px, of rows and columns that are looked at
+LEAST_POINTS = 200
+
+
+def wrong_unit(frames: Sequence[Frame]) -> tuple[str, float] | None:
+    """What is wrong with the depth of some frames of a trial, and the factor that it lacks.
+
+    None where it fits, or where nothing can be said.
+    """
+    readings = [f.depth[f.depth > 0] for f in frames]
+    every = np.concatenate(readings) if readings else np.zeros(0, np.float32)
+    if not len(every):
+        return None
+    middle = float(np.median(every))
+    if not LEAST_DEPTH_M <= middle <= MOST_DEPTH_M:
+        factor = 1e-3 if middle > MOST_DEPTH_M else 1e3
+        return f"the middle depth of the first frames is {middle:.3g} m, which no scene has", factor
+    by_motion = factor_by_motion(frames)
+    if by_motion is None or 1 / SURE <= by_motion <= SURE:
+        return None
+    what = f"the camera's motion fits depth that is {by_motion:.2g} times as large"
+    return f"{what} (the middle depth is {middle:.3g} m)", by_motion
+
+
+def factor_by_motion(frames: Sequence[Frame]) -> float | None:
+    """The factor of depth at which the frames agree best, 1.0 where that is as good as any.
+
+    Each pair of frames votes; None where none can.
+    """
+    votes = []
+    for a, b in combinations(frames, 2):
+        if a.T_base_camera is None or b.T_base_camera is None:
+            continue
+        T_b_a = invert(b.T_base_camera) @ a.T_base_camera
+        if not MOVED_M <= np.linalg.norm(T_b_a[:3, 3]) <= MOST_MOVED_M:
+            continue
+        misfit = np.array([_misfit(a, b, T_b_a, float(factor)) for factor in FACTORS])
+        at_one = misfit[len(FACTORS) // 2]
+        if not np.isfinite(at_one):
+            continue
+        best = int(np.nanargmin(misfit))
+        is_sharp = at_one > max(LEAST_WORSE, WORSE * misfit[best])
+        votes.append(float(FACTORS[best]) if is_sharp else 1.0)
+    if not votes:
+        return None
+    middle = float(np.median(votes))
+    agree = np.abs(np.log(np.array(votes) / middle)) < np.log(AGREE)
+    return middle if len(votes) >= LEAST_VOTES and agree.mean() > 0.5 else 1.0
+
+
+def _misfit(a: Frame, b: Frame, T_b_a: Array, factor: float) -> float:
+    """Median share by which the depth of frame b differs from that of frame a, carried into b; NaN
+    where they hardly overlap.
+    """
+    camera: Intrinsics = a.camera
+    v, u = np.mgrid[0 : camera.height : EVERY, 0 : camera.width : EVERY]
+    z = a.depth[v, u].astype(np.float64) * factor
+    seen = z > 0
+    points = camera.backproject(u[seen], v[seen], z[seen]) @ T_b_a[:3, :3].T + T_b_a[:3, 3]
+    points = points[points[:, 2] > 0.01]
+    pixels = np.rint(b.camera.project(points)).astype(int)
+    inside = ((pixels >= 0) & (pixels < (b.camera.width, b.camera.height))).all(axis=1)
+    if inside.sum() < LEAST_POINTS:
+        return float("nan")
+    there = b.depth[pixels[inside, 1], pixels[inside, 0]].astype(np.float64) * factor
+    both = there > 0
+    if both.sum() < LEAST_POINTS:
+        return float("nan")
+    return float(np.median(np.abs(there[both] - points[inside, 2][both]) / there[both]))
