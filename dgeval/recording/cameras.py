@@ -10,13 +10,18 @@ from __future__ import annotations
 from itertools import product
 from os.path import commonpath
 from pathlib import PurePosixPath
+from xml.etree import ElementTree
+
+import numpy as np
 
 from dgeval.config import RolesConfig
+from dgeval.geometry import Array
 from dgeval.recording.images import DEPTH_ENCODINGS
 from dgeval.recording.scan import ImageHead, Scan
 
 COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "mono8", "8UC1"})
 GREY = frozenset({"mono8", "8UC1"})
+STILL = 1e-4  # m and parts of a quaternion, by which a transform that moves changes at least; ours
 STEREO = ("infra", "left", "right")
 ALIGNED = ("aligned", "registered", "to_color", "to_colour", "to_rgb")
 
@@ -75,7 +80,7 @@ def choose_camera(
     colours = [config.colour] if config.colour else colour_topics(scan, heads)
     depths = [config.depth] if config.depth else depth_topics(scan, heads)
 
-    def rank(pair: tuple[str, str]) -> tuple[bool, bool, bool, int, int]:
+    def rank(pair: tuple[str, str]) -> tuple[bool, int, bool, bool, int, int]:
         c, d = heads.get(pair[0]), heads.get(pair[1])
         aligned = c is not None and d is not None and is_aligned(c, d)
         alignable = (
@@ -85,12 +90,14 @@ def choose_camera(
         stereo = c is not None and (c.encoding in GREY or _has(pair[0], *STEREO))
         return (
             not (aligned or alignable),
+            -carried.get(c.frame_id, 0) if c is not None else 0,
             stereo,
             not aligned,
             colours.index(pair[0]),
             depths.index(pair[1]),
         )
 
+    carried = {f: moving_edges(scan, f) for f in sorted(_frames(heads))}
     pairs = list(product(colours, depths))
     colour, depth = min(pairs, key=rank) if pairs else (None, None)
     colour = colour or (colours[0] if colours else None)
@@ -101,6 +108,58 @@ def choose_camera(
         if others:
             passed[role] = others
     return colour, depth, passed
+
+
+def moving_edges(scan: Scan, frame: str) -> int:
+    """How many joints and moving transforms are above a frame: the wrist's camera has most."""
+    parents: dict[str, tuple[str, bool]] = {}
+    for text in scan.descriptions.values():
+        parents |= _joints(text)
+    for heard in scan.tf.values():
+        for edge in heard.static:
+            parents[edge.child] = (edge.parent, False)
+        first: dict[str, Array] = {}
+        for edge in heard.moving:
+            pose = first.setdefault(edge.child, edge.pose)
+            moves = parents.get(edge.child, ("", False))[1]
+            moves = moves or bool((np.abs(edge.pose - pose) > STILL).any())
+            parents[edge.child] = (edge.parent, moves)
+    count, seen = 0, {frame}
+    while frame in parents:
+        frame, moves = parents[frame]
+        if frame in seen:
+            break
+        seen.add(frame)
+        count += moves
+    return count
+
+
+def _joints(text: str) -> dict[str, tuple[str, bool]]:
+    """By link of a robot description, its parent and whether the joint between them moves."""
+    out = {}
+    try:
+        for joint in ElementTree.fromstring(text).iter("joint"):
+            parent, child = joint.find("parent"), joint.find("child")
+            if parent is not None and child is not None:
+                moves = joint.get("type") != "fixed"
+                out[child.get("link", "")] = (parent.get("link", ""), moves)
+    except ElementTree.ParseError:
+        pass  # the description is read later, and its error told
+    return out
+
+
+def other_camera(
+    scan: Scan, heads: dict[str, ImageHead], passed: dict[str, list[str]], colour: str, depth: str
+) -> str | None:
+    """The colour topic of another whole camera, in another place than the chosen one; else None."""
+    here = {heads[n].frame_id for n in (colour, depth) if n in heads}
+    for c in passed.get("colour", []):
+        for d in passed.get("depth", []):
+            if c not in heads or d not in heads or heads[c].frame_id in here:
+                continue
+            if is_aligned(heads[c], heads[d]) and intrinsics_of(scan, heads, c) is not None:
+                return c
+    return None
 
 
 def intrinsics_of(scan: Scan, heads: dict[str, ImageHead], image: str) -> str | None:

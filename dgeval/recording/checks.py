@@ -37,6 +37,8 @@ MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes th
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 LEAST_POSES = 0.5  # share of the frames that must have a camera pose; ours
 BESIDE_NS = 5_000_000_000  # ns, by which a command may lie before or after all images; ours
+UNITS_M = (1.0, 1e-2, 1e-3, 1e-4, 2.5e-4)  # m per unit of depth, of cameras in use
+NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is that one
 CLOCK_STEP_S = 0.5  # s, by which a clock is said to have been set; ours
 BEFORE_AFTER = 5  # images on each side of a step that must agree
 LONGEST_GAP_S = 1.0  # s, as long as velocity and model are carried on (`estimation`)
@@ -227,8 +229,11 @@ def _depth_unit(reader: FrameReader, is_integer: bool) -> Check | None:
     if found is None:
         return None
     what, factor = found
-    scale = reader.camera.depth_scale
-    stated = "" if scale is None else f" with a scale of {scale:g}"
-    used = scale or (1e-3 if is_integer else 1.0)
-    mend = f"set calibration.depth_scale, in m per unit (about {used * factor:.2g})"
+    given = reader.camera.depth_scale
+    stated = "" if given is None else f" with a scale of {given:g}"
+    used = given or (1e-3 if is_integer else 1.0)
+    scale = used * factor
+    near = min(UNITS_M, key=lambda unit: abs(np.log(unit / scale)))
+    proposed = near if abs(np.log(near / scale)) < NEAR_UNIT else scale
+    mend = f"set calibration.depth_scale, in m per unit (probably {proposed:.2g})"
     return Check("depth_unit", f"{what}{stated}", mend)

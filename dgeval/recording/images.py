@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dgeval.errors import describe
 from dgeval.recording.image_codecs import codecs
 from dgeval.recording.image_codecs.pixels import Pixels
 
@@ -27,7 +28,10 @@ def decode_image(message: Any) -> Pixels:
     """Pixels of an image message of any supported kind; ValueError says what is wrong."""
     for codec in codecs():
         if codec.accepts(message):
-            pixels: Pixels = codec.decode(message)
+            try:
+                pixels: Pixels = codec.decode(message)
+            except (TypeError, AttributeError, LookupError, OverflowError, cv2.error) as error:
+                raise ValueError(f"its fields are not an image's ({describe(error)})") from error
             return pixels
     raise ValueError("not an image message")
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from dgeval.config import RolesConfig
 from dgeval.errors import Place, UnreadableError, UsageError
-from dgeval.recording.cameras import choose_camera, intrinsics_of, is_aligned
+from dgeval.recording.cameras import choose_camera, intrinsics_of, is_aligned, other_camera
 from dgeval.recording.contract import DGEVAL_PREFIX, TRUTH_PREFIX
 from dgeval.recording.messages import JointSample
 from dgeval.recording.namespaces import Series, differ, namespace_of, of_camera
@@ -25,7 +25,7 @@ class Roles:
 
     joints: every topic of joint states that counts, the first with a joint's name gives its values.
     depth_intrinsics: of a depth camera whose images are not aligned to colour.
-    passed_over: by role, topics that could have it as well.
+    passed_over: by role, topics that could have it as well. notes: what was assumed.
     """
 
     colour: str | None
@@ -37,6 +37,7 @@ class Roles:
     passed_over: dict[str, list[str]] = field(default_factory=dict)
     joints: tuple[str, ...] = ()
     depth_intrinsics: str | None = None
+    notes: tuple[str, ...] = ()
 
 
 def find_roles(scan: Scan, config: RolesConfig) -> Roles:
@@ -66,6 +67,14 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
     heads |= {n: scan.images[n] for n in (config.colour, config.depth) if n in scan.images}
     colour, depth, passed_images = choose_camera(scan, heads, config)
     passed |= passed_images
+    notes = []
+    if colour is not None and depth is not None:
+        other = other_camera(scan, heads, passed, colour, depth)
+        if other is not None:
+            notes.append(
+                f"the camera is {colour} ({heads[colour].frame_id}); {other} "
+                f"({heads[other].frame_id}) could be it too (roles.colour, roles.depth)"
+            )
     intrinsics = config.intrinsics
     if intrinsics is None and colour is not None:
         intrinsics = intrinsics_of(scan, heads, colour)
@@ -94,6 +103,7 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
         passed,
         tuple(joints),
         depth_intrinsics,
+        tuple(notes),
     )
 
 

@@ -36,6 +36,16 @@ from dgeval.recording.messages import (
 )
 from dgeval.recording.namespaces import namespace_of
 
+# what a message that does not hold what its type says leads to
+NOT_USABLE = (
+    UndecodableError,
+    ValueError,
+    AttributeError,
+    TypeError,
+    LookupError,
+    OverflowError,
+    struct.error,
+)
 STAMPED = (
     IMAGE_TYPES
     | POSE_TYPES
@@ -171,7 +181,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 out.depth_units[message.topic] = round(float(opened.decode(message).data), 9)
             elif message.topic == SCORE_TOPIC:
                 out.scores.append((message.log_ns, float(opened.decode(message).data)))
-        except (UndecodableError, ValueError, AttributeError, struct.error) as error:
+        except NOT_USABLE as error:
             if topic.type in STAMPED and len(times.header_ns) < len(times.log_ns):
                 times.header_ns.append(0)  # so that the stamps of the others stay theirs
             out.undecodable[message.topic] += 1

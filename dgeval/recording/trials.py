@@ -136,6 +136,7 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     events = close.events
     notes = [
         *opened.notes,
+        *roles.notes,
         *robot.notes,
         *camera.notes,
         *events.notes(),

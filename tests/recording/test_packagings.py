@@ -98,7 +98,7 @@ def test_depth_as_rvl(tmp_path: Path, messages: list[Message], original: list[An
 def test_rvl_that_ends_early_or_runs_over_is_refused(damage: bytes) -> None:
     """Catches a loop that never ends, and a write behind the image."""
     with pytest.raises(ValueError, match="do not hold 100 readings"):
-        rvl.decode(damage, 100)
+        rvl.readings(damage, 100)
 
 
 def test_splits_are_one_recording(

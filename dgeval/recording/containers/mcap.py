@@ -24,7 +24,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
 from dgeval.recording.containers.container import MCAP_MAGIC, RawMessage, Topic
-from dgeval.recording.encodings import decoders, foxglove
+from dgeval.recording.encodings import decoders, foxglove, json_text
 
 FOOTER_LENGTH = 1 + 8 + 20  # bytes: kind, length and content of the footer record, MCAP format
 MAX_CHUNK_BYTES = 1 << 30  # bytes, uncompressed; a larger claim is taken for damage
@@ -193,7 +193,8 @@ class McapContainer:
         if "/" in name and "/msg/" not in name:
             name = name.replace("/", "/msg/", 1)
         key = (channel.message_encoding, schema.encoding if schema else "")
-        make = decoders().get(key)
+        # JSON says its fields itself, whatever its schema is written in
+        make = decoders().get(json_text.ENCODES if key[0] == "json" else key)
         decode: Callable[[bytes], Any] | None = None
         why: str | None = None
         if make is None or schema is None:

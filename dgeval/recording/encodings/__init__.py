@@ -20,5 +20,7 @@ Decoder = Callable[[str, bytes], Callable[[bytes], Any]]
 @cache
 def decoders() -> dict[tuple[str, str], Decoder]:
     """By message encoding and schema encoding, what makes a decoder of a type."""
-    modules = modules_with("dgeval.recording.encodings", "ENCODES", "dgeval.encodings")
+    modules = modules_with(
+        "dgeval.recording.encodings", "ENCODES", "dgeval.encodings", ("decoder",)
+    )
     return {module.ENCODES: module.decoder for module in modules}

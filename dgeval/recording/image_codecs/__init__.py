@@ -15,5 +15,7 @@ from dgeval.plugins import modules_with
 @cache
 def codecs() -> tuple[ModuleType, ...]:
     """All kinds, the first that accepts a message decodes it."""
-    modules = modules_with("dgeval.recording.image_codecs", "accepts", "dgeval.image_codecs")
+    modules = modules_with(
+        "dgeval.recording.image_codecs", "accepts", "dgeval.image_codecs", ("decode", "ORDER")
+    )
     return tuple(sorted(modules, key=lambda module: module.ORDER))

@@ -60,4 +60,4 @@ def _rvl(stated: str, data: bytes) -> NDArray[np.uint16]:
     width, height = struct.unpack_from("<ii", data, HEADER_BYTES)
     if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
         raise ValueError(f"format {stated!r}: no PNG inside, and RVL of {width}x{height} pixels")
-    return rvl.decode(data[HEADER_BYTES + 8 :], width * height).reshape(height, width)
+    return rvl.readings(data[HEADER_BYTES + 8 :], width * height).reshape(height, width)

@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 
-def decode(data: bytes, count: int) -> NDArray[np.uint16]:
+def readings(data: bytes, count: int) -> NDArray[np.uint16]:
     """(count,) depth codes. ValueError where the words end early, or hold more than `count`."""
     if len(data) % 4:
         data = data[: len(data) // 4 * 4]
