@@ -36,6 +36,19 @@ PALM_WORDS = (
     ("tcp",),
     ("tool0", "ee_link", "end_effector", "flange"),
 )
+# parts of the name of a frame that may carry a camera, and no hand
+CARRIES_NO_HAND = (
+    "camera",
+    "optical",
+    "base",
+    "head",
+    "neck",
+    "pan",
+    "tilt",
+    "torso",
+    "map",
+    "odom",
+)
 # parts of the name of a frame that is no palm though it has such a word
 NO_PALM = ("camera", "optical", "finger", "thumb", "knuckle", "pad", "handle", "hand_pose")
 
@@ -177,7 +190,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     if tree.parent(camera) is None and roles.camera_pose:
         for pose in scan.poses[roles.camera_pose]:
             tree.add_moving(pose.t_ns + offset, pose.parent or "base", camera, pose.pose)
-    palm = _palm(scan, roles, config, tree, camera, notes)
+    palm = _palm(scan, roles, config, tree, camera, description, notes)
     base = config.frames.base
     if base is None and tree.parent(camera) is not None:
         chain = tree.ancestors(camera)
@@ -205,6 +218,8 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
             f"the base frame {base!r} moves in {above[-1]!r}: speeds are against {base!r}; for the "
             f"other: frames.base={above[-1]}"
         )
+    if base is not None and palm is None:
+        notes.append("no frame of a palm is found: the hand's pose is not known; set frames.palm")
     links: list[str] = []
     if description is not None and palm is not None and palm in description.shapes:
         links = description.below(_hand_root(description, palm))
@@ -327,6 +342,7 @@ def _palm(
     config: Config,
     tree: TransformTree,
     camera: str,
+    description: Description | None,
     notes: list[str],
 ) -> str | None:
     frames = tree.frames()
@@ -341,6 +357,9 @@ def _palm(
         named = sorted(f for f in usable if any(w in f.lower() for w in words))
         if named:
             return _nearest_to_camera(named, tree, camera, notes)
+    parting = [] if description is None else description.branches()
+    if parting:
+        return _nearest_to_camera(parting, tree, camera, notes)
     if roles.hand_pose:
         offset = config.clock.hand_pose.offset_ns
         for pose in scan.poses[roles.hand_pose]:
@@ -348,6 +367,10 @@ def _palm(
                 pose.t_ns + offset, pose.parent or "base", "palm (hand_pose)", pose.pose
             )
         return "palm (hand_pose)"
+    carrier = next((f for f in tree.ancestors(camera)[1:] if f in tree.moving), None)
+    if carrier is not None and not any(part in carrier.lower() for part in CARRIES_NO_HAND):
+        notes.append(f"palm frame: {carrier!r}, which carries the camera (frames.palm)")
+        return carrier
     return None
 
 

@@ -59,7 +59,9 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
     if trial.n_undecodable_frames:
         notes.append(f"{trial.n_undecodable_frames} frames could not be decoded")
     if self_filter_of(trial) == "none":
-        notes.append("self_filter: none, no robot description")
+        known = trial.robot.description is not None
+        why = "the hand's links are not known (frames.palm)" if known else "no robot description"
+        notes.append(f"self_filter: none, {why}")
     stand_in = tracker_named(config.tracking.method).STAND_IN
     if stand_in is not None:
         notes.append(f"stand-in: {stand_in} in place of TransT-M")

@@ -73,6 +73,21 @@ class Description:
     shapes: dict[str, list[LinkShape]]
     notes: list[str] = field(default_factory=list)
 
+    def branches(self) -> list[str]:
+        """The deepest links at which two or more chains of movable joints part, in name order.
+
+        They are the bases of hands; a base of two arms has deeper ones below it.
+        """
+        children: dict[str, list[Joint]] = {}
+        for joint in self.joints.values():
+            children.setdefault(joint.parent, []).append(joint)
+
+        def moves(joint: Joint) -> bool:
+            return joint.kind != "fixed" or any(moves(j) for j in children.get(joint.child, []))
+
+        parting = {link for link, listed in children.items() if sum(map(moves, listed)) >= 2}
+        return sorted(link for link in parting if not parting & set(self.below(link)) - {link})
+
     def below(self, link: str) -> list[str]:
         """The link and all links that hang from it, in name order."""
         out = {link}

@@ -91,8 +91,10 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
     close_ns, end_ns, robot = log.close_ns, log.end_ns, log.robot
     description = robot.description
     base = robot.base_frame
-    if description is None or base is None:
-        return Unknown("no robot description and base frame: the hand's geometry is not known")
+    if description is None:
+        return Unknown("no robot description: the hand's geometry is not known")
+    if base is None:
+        return Unknown("no pose of the camera in a base frame: the hand's way is not known")
     gripper = robot.hand
     if gripper is None:
         return Unknown(
