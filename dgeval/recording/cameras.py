@@ -19,7 +19,7 @@ from dgeval.geometry import Array
 from dgeval.recording.images import DEPTH_ENCODINGS
 from dgeval.recording.scan import ImageHead, Scan
 
-COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "mono8", "8UC1"})
+COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "8UC4", "mono8", "8UC1"})
 GREY = frozenset({"mono8", "8UC1"})
 STILL = 1e-4  # m and parts of a quaternion, by which a transform that moves changes at least; ours
 STEREO = ("infra", "left", "right")

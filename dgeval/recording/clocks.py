@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from dgeval.config import SyncConfig
 
 Ints = NDArray[np.int64]
+RECORDER_APART_S = 1.0  # s, between log time and stamps, from which on the clocks are two; ours
+ONE_CLOCK_S = 0.5  # s, within which all topics must agree on that; ours
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,54 @@ def _longest_rising(stamps: list[int]) -> list[int]:
             out.append(i)
             wanted, last = wanted - 1, t
     return out
+
+
+@dataclass(frozen=True)
+class RecorderClock:
+    """From log times to stamps, ns, of a recorder that runs on another clock than the robot, as a
+    simulator's does; it may run faster or slower. log_ns rises.
+    """
+
+    log_ns: Ints
+    stamps_ns: Ints
+
+    @property
+    def apart_s(self) -> float:
+        return float(np.median(self.log_ns - self.stamps_ns)) * 1e-9
+
+    def stamp_ns(self, log_ns: int) -> int:
+        """The stamp of what was logged then; beyond the ends with the offset of the end."""
+        at = int(np.clip(log_ns, self.log_ns[0], self.log_ns[-1]))
+        k = int(np.searchsorted(self.log_ns, at))
+        if self.log_ns[k] == at:
+            stamp = int(self.stamps_ns[k])
+        else:
+            before, after = (int(self.log_ns[i]) for i in (k - 1, k))
+            low, high = (int(self.stamps_ns[i]) for i in (k - 1, k))
+            stamp = low + round((high - low) * (at - before) / (after - before))
+        return stamp + log_ns - at
+
+
+def recorder_clock(stamped: dict[str, tuple[Ints, Ints]]) -> RecorderClock | None:
+    """The recorder's clock against that of the stamps; None where they are the same, or where the
+    topics' own clocks differ.
+
+    stamped: header stamps and log times by topic.
+    """
+    usable = {n: (h, t) for n, (h, t) in stamped.items() if len(h) >= 3 and (h > 0).sum() >= 3}
+    if not usable:
+        return None
+    apart = {n: float(np.median((t - h)[h > 0])) * 1e-9 for n, (h, t) in usable.items()}
+    if min(abs(a) for a in apart.values()) < RECORDER_APART_S:
+        return None
+    if max(apart.values()) - min(apart.values()) > ONE_CLOCK_S:
+        return None
+    name = max(usable, key=lambda n: (len(usable[n][0]), n))
+    header, log = usable[name]
+    order = np.lexsort((header[header > 0], log[header > 0]))
+    log, header = log[header > 0][order], header[header > 0][order]
+    first = np.concatenate([[True], np.diff(log) > 0])
+    return RecorderClock(log[first], header[first])
 
 
 def pair(colour_ns: Ints, depth_ns: Ints, tolerance_ns: int) -> list[tuple[int, int]]:

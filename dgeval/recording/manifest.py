@@ -75,6 +75,7 @@ class TrialSpec:
     close_ns, lift_ns: of the commands, where a person knows better than the log; close_after_s,
     lift_after_s: likewise, s after the first frame. sha256: of the
     recording, as the manifest says. parts: the files of a recording that was split, in order.
+    window_is_log_time: start and end are of messages without a time of their own, as logged.
     """
 
     id: str
@@ -95,6 +96,7 @@ class TrialSpec:
     close_after_s: float | None = None
     lift_after_s: float | None = None
     parts: tuple[Path, ...] = ()
+    window_is_log_time: bool = False
 
 
 def find_trials(paths: list[Path], events_topic: str | None = None) -> list[TrialSpec]:
@@ -188,6 +190,7 @@ def _of_recording(
     topic = events_topic or EVENTS_TOPIC
     starts: list[int] = []
     ends: list[int] = []
+    is_log_time = False
     if topic in opened.topics:
         for message in opened.messages(frozenset({topic})):
             try:
@@ -196,6 +199,7 @@ def _of_recording(
                 continue  # counted as undecodable when the trial is read
             if event.kind in (TRIAL_START_EVENT, TRIAL_END_EVENT):
                 (starts if event.kind == TRIAL_START_EVENT else ends).append(event.t_ns)
+                is_log_time |= event.is_log_time
     if not starts:
         return [TrialSpec(name, path, parts=parts)]
     out = []
@@ -204,7 +208,7 @@ def _of_recording(
         # the end belongs to the trial; a next start does not
         end = later[0] if later and later[0] in ends else (later[0] - 1 if later else None)
         unique = name if len(starts) == 1 else f"{name}#{k}"
-        out.append(TrialSpec(unique, path, start, end, parts=parts))
+        out.append(TrialSpec(unique, path, start, end, parts=parts, window_is_log_time=is_log_time))
     return out
 
 
@@ -219,7 +223,11 @@ def _from_manifest(path: Path) -> list[TrialSpec]:
             for spec in _of_recording(
                 recording, entry.id or str(Path(entry.recording).with_suffix("")), None
             ):
-                times = {"start_ns": spec.start_ns, "end_ns": entry.end_ns or spec.end_ns}
+                times: dict[str, Any] = {
+                    "start_ns": spec.start_ns,
+                    "end_ns": entry.end_ns or spec.end_ns,
+                    "window_is_log_time": spec.window_is_log_time and entry.end_ns is None,
+                }
                 out.append(TrialSpec(spec.id, recording, **{**given, **times}))
         else:
             out.append(

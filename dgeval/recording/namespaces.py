@@ -29,12 +29,13 @@ def of_camera(
     contradict: Callable[[str, str], bool],
     colour: str | None,
     stated: str | None,
+    prefers: Callable[[str], bool] | None = None,
 ) -> tuple[list[str], list[str]]:
     """Namespaces that count, and those that contradict each other and are not told apart.
 
     contradict: whether two namespaces give one name two meanings. Where no two do, all count. Else
-    those that hold the colour topic, or the stated one; those that contradict none of them count as
-    well.
+    the stated one; else those that hold the colour topic; else those that `prefers` names, as those
+    that place the camera. Those that contradict none of them count as well.
     """
     order = sorted(namespaces)
     pairs = {(a, b) for a, b in combinations(order, 2) if contradict(a, b)}
@@ -47,7 +48,10 @@ def of_camera(
     home = f"{stated.rstrip('/')}/" if stated is not None else colour or ""
     kept: list[str] = []
     mixed: list[str] = []
-    for ns in sorted((ns for ns in order if holds(ns, home)), key=lambda ns: (-len(ns), ns)):
+    candidates = [ns for ns in order if holds(ns, home)]
+    if stated is None and prefers is not None and not any(candidates):
+        candidates = [ns for ns in order if prefers(ns)] or candidates
+    for ns in sorted(candidates, key=lambda ns: (-len(ns), ns)):
         if not any(apart(ns, k) for k in kept):
             kept.append(ns)
     if not kept:

@@ -37,18 +37,7 @@ PALM_WORDS = (
     ("tool0", "ee_link", "end_effector", "flange"),
 )
 # parts of the name of a frame that may carry a camera, and no hand
-CARRIES_NO_HAND = (
-    "camera",
-    "optical",
-    "base",
-    "head",
-    "neck",
-    "pan",
-    "tilt",
-    "torso",
-    "map",
-    "odom",
-)
+CARRIES_NO_HAND = ("camera", "optical", "base", "head", "neck", "pan_", "tilt", "torso", "odom")
 # parts of the name of a frame that is no palm though it has such a word
 NO_PALM = ("camera", "optical", "finger", "thumb", "knuckle", "pad", "handle", "hand_pose")
 
@@ -149,11 +138,14 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     tree = TransformTree(max_gap_ns)
     notes: list[str] = []
     offset = config.clock.camera_pose.offset_ns
+    head = scan.images.get(roles.colour) if roles.colour else None
+    camera = config.frames.camera or (head.frame_id if head else "") or "camera"
     counts, mixed = of_camera(
         scan.tf,
         lambda a, b: _contradict(scan.tf[a], scan.tf[b]),
         roles.colour,
         config.frames.namespace,
+        lambda ns: camera in scan.tf[ns].is_static,
     )
     for namespace in counts:
         _add_transforms(tree, scan.tf[namespace], offset, notes)
@@ -161,9 +153,6 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         f"the transforms in {namespace or '/'} are another robot's and are not used"
         for namespace in sorted(scan.tf.keys() - set(counts) - set(mixed))
     )
-    head = scan.images.get(roles.colour) if roles.colour else None
-    camera = config.frames.camera or (head.frame_id if head else "") or "camera"
-
     used, joints_mixed = joint_topics(scan, roles, config.frames.namespace)
     samples = merged_joints(scan, used)
     joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.errors import Damage, Place, UndecodableError
 from dgeval.geometry import Array
+from dgeval.recording.clocks import RecorderClock, recorder_clock
 from dgeval.recording.containers.container import Opened, RawMessage
 from dgeval.recording.contract import DEPTH_UNIT, EVENTS_TOPIC, ROBOT_DESCRIPTION, SCORE_TOPIC
 from dgeval.recording.images import decode_image
@@ -103,7 +104,8 @@ class Transforms:
 class Scan:
     """What one pass keeps of a recording, most of it by topic; transforms by namespace.
 
-    depth_units: m per unit, by the topic of librealsense's option.
+    depth_units: m per unit, by the topic of librealsense's option. recorder_clock: where the
+    recorder's clock is not that of the stamps; events and scores without a stamp are moved by it.
     """
 
     opened: Opened
@@ -117,6 +119,7 @@ class Scan:
     joints: dict[str, list[JointSample]] = field(default_factory=lambda: defaultdict(list))
     scores: list[tuple[int, float]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
+    recorder_clock: RecorderClock | None = None
     descriptions: dict[str, str] = field(default_factory=dict)
     depth_units: dict[str, float] = field(default_factory=dict)
     undecodable: dict[str, int] = field(default_factory=lambda: defaultdict(int))
@@ -186,6 +189,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 times.header_ns.append(0)  # so that the stamps of the others stay theirs
             out.undecodable[message.topic] += 1
             out.first_undecodable.setdefault(message.topic, str(error))
+    _onto_the_stamps_clock(out)
     out.events.sort(key=lambda e: e.t_ns)
     for name in sorted(out.undecodable):
         what = (
@@ -194,6 +198,22 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
         )
         opened.damage.append(Damage(what, Place(str(opened.path), name)))
     return out
+
+
+def _onto_the_stamps_clock(found: Scan) -> None:
+    """Bring what has only a log time onto the clock of the stamps, where the two are apart."""
+    stamped = {
+        name: times.arrays()
+        for name, times in found.times.items()
+        if found.opened.topics[name].type in STAMPED and not name.endswith("static")
+    }
+    found.recorder_clock = clock = recorder_clock(stamped)
+    if clock is None:
+        return
+    found.events = [
+        replace(e, t_ns=clock.stamp_ns(e.t_ns)) if e.is_log_time else e for e in found.events
+    ]
+    found.scores = [(clock.stamp_ns(t_ns), score) for t_ns, score in found.scores]
 
 
 def _stamp(message: RawMessage, encoding: str, opened: Opened) -> int:

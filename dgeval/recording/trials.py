@@ -109,6 +109,19 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
             place,
         )
     scanned = scan(opened, config.roles.events)
+    clock, clock_note = scanned.recorder_clock, []
+    if clock is not None:
+        clock_note = [
+            f"the recorder's clock is {clock.apart_s:+.2f} s from the stamps (simulated time?): "
+            "what has no stamp is placed by it"
+        ]
+        if spec.window_is_log_time:
+            start, end = spec.start_ns, spec.end_ns
+            spec = replace(
+                spec,
+                start_ns=None if start is None else clock.stamp_ns(start),
+                end_ns=None if end is None else clock.stamp_ns(end),
+            )
     roles = find_roles(scanned, config.roles)
     colour, depth = image_topics(scanned, roles)
     robot = robot_states(scanned, roles, config)
@@ -136,6 +149,7 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     events = close.events
     notes = [
         *opened.notes,
+        *clock_note,
         *roles.notes,
         *robot.notes,
         *camera.notes,

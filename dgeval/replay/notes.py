@@ -11,19 +11,22 @@ from dgeval.recording.contract import GRASP_TOPIC
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step, grasp_source, seed_of
 
+FEW_FRAMES = 0.1  # share of the frames without the hand's shape, above which a note says it; ours
+
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
     """Numbers of frames of a trial.
 
     lost: the tracker had lost the target. predicted: no accepted registration. no_depth: the
-    target was tracked, but without usable depth on it.
+    target was tracked, but without usable depth on it. no_hand: the hand's shape was not known.
     """
 
     frames: int = 0
     lost: int = 0
     predicted: int = 0
     no_depth: int = 0
+    no_hand: int = 0
 
     def with_frame(self, step: Step) -> FrameCounts:
         """The counts after one more frame."""
@@ -35,12 +38,13 @@ class FrameCounts:
             lost=self.lost + (state == "lost"),
             predicted=self.predicted + (not step.accepted),
             no_depth=self.no_depth + unobserved,
+            no_hand=self.no_hand + (step.frame.hand is None),
         )
 
 
-def self_filter_of(trial: Trial) -> str:
-    """What takes the robot's own hand out of the images: geometry, mask or none."""
-    if trial.robot.hand_links:
+def self_filter_of(trial: Trial, counts: FrameCounts) -> str:
+    """What took the robot's own hand out of the images: geometry, mask or none."""
+    if trial.robot.hand_links and counts.no_hand < max(counts.frames, 1):
         return "geometry"
     return "mask" if trial.static_mask is not None else "none"
 
@@ -58,10 +62,17 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
         notes.append(f"unmatched images: {unmatched} colour, {trial.n_unmatched_depth} depth")
     if trial.n_undecodable_frames:
         notes.append(f"{trial.n_undecodable_frames} frames could not be decoded")
-    if self_filter_of(trial) == "none":
+    if self_filter_of(trial, counts) == "none":
         known = trial.robot.description is not None
         why = "the hand's links are not known (frames.palm)" if known else "no robot description"
+        if trial.robot.hand_links:
+            why = "the hand's joint states are not recorded"
         notes.append(f"self_filter: none, {why}")
+    elif trial.robot.hand_links and counts.no_hand > FEW_FRAMES * counts.frames:
+        notes.append(
+            f"the hand's shape is not known in {counts.no_hand} of {counts.frames} frames, for "
+            "want of joint states or poses: there it was not taken out of the images"
+        )
     stand_in = tracker_named(config.tracking.method).STAND_IN
     if stand_in is not None:
         notes.append(f"stand-in: {stand_in} in place of TransT-M")

@@ -23,6 +23,7 @@ from dgeval.geometry import Array
 from dgeval.hindsight.second_pass import Hindsight, look_back
 from dgeval.hindsight.surface import CausalFrame, Surface, causal_frame_of
 from dgeval.perception.pipeline import Perception
+from dgeval.recording.checks import Check
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
@@ -44,6 +45,7 @@ from dgeval.verdict.judge import Judgement, judge
 from dgeval.verdict.log import log_of
 from dgeval.verdict.picture import decisive_picture
 
+LEAST_FRAMES = 5  # of a trial, from which on the target must have been measured in one
 MAX_RECENT = 400  # compressed images kept, of which one becomes the picture of the decisive moment
 # Makes the object that writes a trial's review recording: add(step) for each frame, at the end
 # close(path, hindsight, judgement).
@@ -234,7 +236,7 @@ def trial_row(
         messages.append(
             f"{unmatched} of {n_colour} colour images have no depth image near enough in time"
         )
-    for check in trial.checks:
+    for check in (*trial.checks, *measured_check(counts)):
         if check.name not in config.checks.accept:
             exit_code = EXIT_DATA_LOST
             messages.append(str(check))
@@ -251,7 +253,7 @@ def trial_row(
         "n_frames": counts.frames,
         "n_lost": counts.lost,
         "n_predicted": counts.predicted,
-        "self_filter": self_filter_of(trial),
+        "self_filter": self_filter_of(trial, counts),
         "target_source": "bbox" if spec.bbox is not None else "automatic",
         "t_execute_ns": t_execute_ns,
         "t_close_ns": trial.event_ns(CLOSE_EVENT),
@@ -260,7 +262,7 @@ def trial_row(
         "notes": "; ".join(
             [
                 *trial_notes(trial, config, counts),
-                *unmeasured_note(counts),
+                *map(str, measured_check(counts)),
                 *judgement.notes,
             ]
         ),
@@ -269,12 +271,14 @@ def trial_row(
     return row, exit_code, messages
 
 
-def unmeasured_note(counts: FrameCounts) -> list[str]:
-    """A note where the target was seen with depth in no frame."""
-    if counts.frames == 0 or counts.lost + counts.no_depth < counts.frames:
+def measured_check(counts: FrameCounts) -> list[Check]:
+    """Whether the target was measured in at least one frame: a registration was accepted."""
+    if counts.frames < LEAST_FRAMES or counts.predicted < counts.frames - 1:
         return []
-    what = f"the target was seen with usable depth in none of {counts.frames} frames"
-    return [f"{what}; if it should have been, give its box with --bbox x0,y0,x1,y1"]
+    unseen = counts.lost + counts.no_depth >= counts.frames - 1
+    how = "was seen with usable depth" if unseen else "could be registered"
+    what = f"the target {how} in none of {counts.frames} frames"
+    return [Check("measured", what, "give its box with --bbox x0,y0,x1,y1")]
 
 
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:

@@ -63,7 +63,8 @@ def judge(
     notes: list[str] = []
     if hindsight is not None:
         row = replace(row, gap_s=hindsight.gap_s, gap_sided=hindsight.gap_sided)
-        if log.robot.base_frame is not None:  # else it is the speed relative to the camera
+        # without a base frame it is the speed relative to the camera, of one sighting it is none
+        if log.robot.base_frame is not None and hindsight.n_registered >= 2:
             speed = float((hindsight.path.velocity[-1] ** 2).sum() ** 0.5)
             row = replace(row, speed_measured=speed)
         notes += hindsight.notes

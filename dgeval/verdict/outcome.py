@@ -58,12 +58,12 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
                 None,
                 "the recording is damaged and what can be read of it has no close",
             )
+        if log.close_missing is not None:
+            return Ended("unknown", None, log.close_missing)
         if log.recorded.grasps and log.ended:
             return Ended(
                 "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
             )
-        if log.close_missing is not None:
-            return Ended("unknown", None, log.close_missing)
         return Ended("no_grasp", "inferred", "the log has no close command")
     end_ns = max(log.last_ns, log.limit_ns or 0)
     joints = [s.t_ns for s in log.hand_samples if s.t_ns <= end_ns]

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from dgeval.config import load_config
 from dgeval.perception.pipeline import Perceived
 from dgeval.perception.types import Fused, Observation, Tracked
 from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
+from dgeval.runs.trial_job import measured_check
 from tests.replay.test_row import step_of
 from tests.verdict.synthetic_trial import trial_of
 
@@ -25,7 +27,7 @@ def test_frames_are_counted_by_what_became_of_the_target() -> None:
         Perceived(Tracked("tracked"), observation, None, Fused(True), None),
     ):
         counts = counts.with_frame(step_of(perceived))
-    assert counts == FrameCounts(frames=4, lost=2, predicted=3, no_depth=1)
+    assert counts == FrameCounts(frames=4, lost=2, predicted=3, no_depth=1, no_hand=4)
 
 
 def test_notes_name_stand_ins_and_what_was_left_out() -> None:
@@ -51,9 +53,35 @@ def test_a_complete_trial_has_only_the_notes_of_its_parts() -> None:
     """Catches notes of losses where nothing was lost, and of a hand that is known."""
     config = load_config("dynamic", ("grasps.source=none",))
     trial = trial_of()
-    assert self_filter_of(trial) == "geometry"
+    assert self_filter_of(trial, FrameCounts(frames=9)) == "geometry"
     expected = ["stand-in: model tracker in place of TransT-M"]
     assert trial_notes(trial, config, FrameCounts(frames=9)) == expected
+
+
+def test_a_hand_whose_joints_are_missing_is_told() -> None:
+    """Catches a self-filter said to work in frames in which the fingers were not known."""
+    config = load_config("dynamic", ("grasps.source=none",))
+    some = trial_notes(trial_of(), config, FrameCounts(frames=9, no_hand=4))
+    assert any("not known in 4 of 9 frames" in note for note in some)
+    every = FrameCounts(frames=9, no_hand=9)
+    assert self_filter_of(trial_of(), every) == "none"
+    assert "self_filter: none, the hand's joint states are not recorded" in trial_notes(
+        trial_of(), config, every
+    )
+
+
+@pytest.mark.parametrize(
+    ("counts", "failed"),
+    [
+        (FrameCounts(frames=9, predicted=9, lost=0), True),
+        (FrameCounts(frames=9, predicted=8, lost=8), True),
+        (FrameCounts(frames=9, predicted=7, lost=7), False),
+        (FrameCounts(frames=3, predicted=3), False),
+    ],
+)
+def test_a_target_that_was_never_measured_fails_a_check(counts: FrameCounts, failed: bool) -> None:
+    """Catches a track of nothing, on which every number of the trial would stand."""
+    assert [c.name for c in measured_check(counts)] == (["measured"] if failed else [])
 
 
 def test_ffhnet_is_named_with_its_weights() -> None:

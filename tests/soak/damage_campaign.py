@@ -135,14 +135,16 @@ def _cli(command: str, path: Path, intact: bool | None, scratch: Path) -> d.Outc
     out = _fresh(scratch, "run")
     arguments = [command, str(path)]
     if command == "replay":
-        arguments += ["--bbox", "10,10,40,40", "--out", str(out), "--no-review"]
+        arguments += ["--bbox", "10,10,40,40", "--out", str(out), "--no-review", *d.NO_TARGET]
     return d.judge_cli(*d.run_cli(arguments), path.name, intact)
 
 
 def _cli_new(path: Path, scratch: Path) -> d.Outcome:
     out = _fresh(scratch, "run") / "new"
     return d.judge_cli(
-        *d.run_cli(["replay", str(path), "--out", str(out), "--no-review"]), path.name, False
+        *d.run_cli(["replay", str(path), "--out", str(out), "--no-review", *d.NO_TARGET]),
+        path.name,
+        False,
     )
 
 

@@ -516,7 +516,7 @@ OTHER_HAND = (
         '<child link="camera_color_optical_frame"/></joint></robot>'
     )
 )
-NO_GEOMETRY = "no robot description and base frame: the hand's geometry is not known"
+NO_GEOMETRY = "no robot description: the hand's geometry is not known"
 UNKNOWN_HAND = (
     "the description's joints are those of no hand that dgeval knows (dlr_hit_hand, parallel_jaw)"
 )
@@ -564,7 +564,9 @@ def test_just_enough_for_a_scene() -> None:
 def test_without_a_base_frame_there_is_no_scene() -> None:
     trial = trial_of()
     trial = replace(trial, robot=replace(trial.robot, base_frame=None))
-    assert scene_of(log_of(trial), hindsight_of()) == Unknown(NO_GEOMETRY)
+    assert scene_of(log_of(trial), hindsight_of()) == Unknown(
+        "no pose of the camera in a base frame: the hand's way is not known"
+    )
 
 
 def test_the_jaw_is_known_too() -> None:

@@ -17,6 +17,7 @@ LAYOUTS = {
     "mono8": (np.uint8, 1),
     "8UC1": (np.uint8, 1),
     "8UC3": (np.uint8, 3),
+    "8UC4": (np.uint8, 4),
     "16UC1": (np.uint16, 1),
     "mono16": (np.uint16, 1),
     "Z16": (np.uint16, 1),
