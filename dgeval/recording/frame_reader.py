@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError
 from dgeval.geometry import matrix_from_pose
 from dgeval.recording.camera import Camera
@@ -17,6 +20,7 @@ from dgeval.recording.images import colour_from, decode_image, depth_from
 from dgeval.recording.pairing import Pair
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.scan import Scan
+from dgeval.recording.video import VideoDecoder
 
 MAX_WAITING = 64  # images of one role held in memory while their partners are waited for
 SCORE_LATE_NS = 1_000_000  # ns; a score logged this long after its grasp still belongs to it
@@ -47,6 +51,7 @@ class FrameReader:
     """Reads a trial's frames from its recording, as often as it is asked to.
 
     grasps: the robot's own choices with their stamps, ns, in time order; a frame gets the newest.
+    codec: of colour as video.
     """
 
     opened: Opened
@@ -57,6 +62,7 @@ class FrameReader:
     robot: RobotStates
     grasps: RecordedGrasps
     lost: LostFrames = field(compare=False)
+    codec: str | None = None
 
     def frames(self) -> Iterator[Frame]:
         """Frames in the order of their stamps, index from 0.
@@ -66,23 +72,42 @@ class FrameReader:
         """
         index_by_colour = {p.colour: i for i, p in enumerate(self.pairs)}
         index_by_depth = {p.depth: i for i, p in enumerate(self.pairs)}
-        waiting: dict[int, dict[str, RawMessage]] = {}
+        waiting: dict[int, dict[str, Any]] = {}
         ordinal = {"colour": -1, "depth": -1}
         next_pair = 0
         n_given = 0
         role_of = {self.colour_topic: "colour", self.depth_topic: "depth"}
-        for message in self.opened.messages(frozenset(role_of)):
-            role = role_of[message.topic]
-            ordinal[role] += 1
-            by_ordinal = index_by_colour if role == "colour" else index_by_depth
-            index = by_ordinal.get(ordinal[role])
-            if index is None or index < next_pair:
-                continue
-            waiting.setdefault(index, {})[role] = message
+        video = None if self.codec is None else VideoDecoder(self.codec)
+        for message in self._messages(frozenset(role_of)):
+            arrived: list[tuple[str, int, Any]]
+            if message is None:  # after the last one
+                arrived = [] if video is None else [("colour", k, p) for k, p in video.rest()]
+            elif role_of[message.topic] == "colour" and video is not None:
+                ordinal["colour"] += 1
+                pictures = video.feed(self._video_bytes(message))
+                arrived = [("colour", k, picture) for k, picture in pictures]
+            else:
+                role = role_of[message.topic]
+                ordinal[role] += 1
+                arrived = [(role, ordinal[role], message)]
+            for role, number, held in arrived:
+                index = (index_by_colour if role == "colour" else index_by_depth).get(number)
+                if index is not None and index >= next_pair:
+                    waiting.setdefault(index, {})[role] = held
+            if video is not None:
+                # pictures come in order: what is behind the newest one does not come any more
+                newest = max((k for role, k, _ in arrived if role == "colour"), default=-1)
+                is_over = message is None
+                while next_pair < len(self.pairs) and "colour" not in waiting.get(next_pair, {}):
+                    if not is_over and self.pairs[next_pair].colour >= newest:
+                        break
+                    waiting.pop(next_pair, None)
+                    self._lose(self.pairs[next_pair].t_ns, "its video picture can't be decoded")
+                    next_pair += 1
             if len(waiting) > MAX_WAITING:
                 raise UnreadableError(
                     f"colour and depth lie more than {MAX_WAITING} frames apart in the file",
-                    Place(str(self.opened.path), message.topic, message.log_ns),
+                    Place(str(self.opened.path)),
                     "sort it by time",
                 )
             while next_pair in waiting and len(waiting[next_pair]) == 2:
@@ -96,13 +121,33 @@ class FrameReader:
             if next_pair == len(self.pairs):
                 return
 
-    def _frame(
-        self, index: int, t_ns: int, colour_raw: RawMessage, depth_raw: RawMessage
-    ) -> Frame | None:
-        """A frame of two messages; None where it is lost."""
+    def _messages(self, topics: frozenset[str]) -> Iterator[RawMessage | None]:
+        """The messages of the topics, and None after the last."""
+        yield from self.opened.messages(topics)
+        yield None
+
+    def _video_bytes(self, message: RawMessage) -> bytes:
+        """Nothing, which no picture comes from, where the message can't be decoded."""
         try:
-            decoded = self.opened.decode(colour_raw)
-            colour = colour_from(decode_image(decoded))
+            return bytes(memoryview(self.opened.decode(message).data))
+        except UndecodableError:
+            return b""
+
+    def _frame(
+        self,
+        index: int,
+        t_ns: int,
+        colour_raw: RawMessage | NDArray[np.uint8],
+        depth_raw: RawMessage,
+    ) -> Frame | None:
+        """A frame of two messages, or of a picture and a message; None where it is lost."""
+        try:
+            decoded = None
+            if isinstance(colour_raw, RawMessage):
+                decoded = self.opened.decode(colour_raw)
+                colour = colour_from(decode_image(decoded))
+            else:
+                colour = colour_raw
             depth = depth_from(decode_image(self.opened.decode(depth_raw)), self.camera.depth_scale)
             colour, depth = self.camera.straight(colour, depth)
         except (UndecodableError, ValueError) as error:

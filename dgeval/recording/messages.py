@@ -20,7 +20,10 @@ from dgeval.recording.contract import (
     label_of,
 )
 
-IMAGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"})
+VIDEO_TYPES = frozenset(
+    {"foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"}
+)
+IMAGE_TYPES = VIDEO_TYPES | {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"}
 # the second is the older name of the same fields
 TF_TYPES = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"

@@ -12,7 +12,8 @@ from dgeval.recording.cameras import choose_camera, intrinsics_of, is_aligned, o
 from dgeval.recording.contract import DGEVAL_PREFIX, TRUTH_PREFIX
 from dgeval.recording.messages import JointSample
 from dgeval.recording.namespaces import Series, differ, namespace_of, of_camera
-from dgeval.recording.scan import Scan
+from dgeval.recording.scan import ImageHead, Scan
+from dgeval.recording.video import EXTRA, is_available
 
 SAME_JOINT = 0.02  # rad or m; two topics that differ by less give one joint's position; ours
 # parts of a topic's name that rule it out as the camera or a state of the robot
@@ -195,11 +196,19 @@ def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
     damage = scan.opened.damage
     lost = f" after damage ({damage[0].what})" if damage else ""
     unread = [f"{t.name}: {t.unread}" for t in topics if t.unread]
-    unread += [f"{n}: {h.format} images" for n, h in scan.images.items() if h.encoding == "?"]
+    unread += [f"{n}: {_why_unread(h)}" for n, h in scan.images.items() if h.encoding == "?"]
     told = f"; not understood: {'; '.join(unread)}" if unread else ""
     usable = [n for n, h in scan.images.items() if h.encoding != "?"]
     hint = "name it with --set roles.colour=… or roles.depth=…" if len(usable) > 1 else None
     raise UnreadableError(f"no {missing} images found{lost} among: {listed}{told}", place, hint)
+
+
+def _why_unread(head: ImageHead) -> str:
+    if head.codec is None:
+        return f"{head.format} images"
+    if not is_available():
+        return f"{head.format} video, which needs {EXTRA}"
+    return f"{head.format} video without a picture that can be decoded"
 
 
 def _has(name: str, *parts: str) -> bool:

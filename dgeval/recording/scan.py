@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,7 @@ from dgeval.recording.messages import (
     stamp_ns,
 )
 from dgeval.recording.namespaces import namespace_of
+from dgeval.recording.video import EXTRA, VideoDecoder, codec_of, is_available
 
 # what a message that does not hold what its type says leads to
 NOT_USABLE = (
@@ -79,13 +81,17 @@ class TopicTimes:
 
 @dataclass(frozen=True, slots=True)
 class ImageHead:
-    """The first image of a topic; encoding "?" where it can't be decoded. Size px."""
+    """The first image of a topic; encoding "?" where it can't be decoded. Size px.
+
+    codec: of a video.
+    """
 
     encoding: str
     width: int
     height: int
     frame_id: str
     format: str
+    codec: str | None = None
 
 
 @dataclass
@@ -131,6 +137,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
     out = Scan(opened)
     wanted_events = events_topic or EVENTS_TOPIC
     seen_camera: dict[str, bytes] = {}
+    videos: dict[str, VideoDecoder] = {}
     for message in opened.messages():
         topic = opened.topics[message.topic]
         times = out.times[message.topic]
@@ -141,7 +148,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 known = out.images.get(message.topic)
                 # a broken first image does not hide the topic
                 if known is None or known.encoding == "?":
-                    out.images[message.topic] = _head(message, opened)
+                    out.images[message.topic] = _head(message, opened, videos)
             elif topic.type in TF_TYPES:
                 latched = message.topic.endswith("static")
                 edges = poses_of(opened.decode(message))
@@ -223,13 +230,32 @@ def _stamp(message: RawMessage, encoding: str, opened: Opened) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def _head(message: RawMessage, opened: Opened) -> ImageHead:
+def _head(message: RawMessage, opened: Opened, videos: dict[str, VideoDecoder]) -> ImageHead:
+    """videos: by topic, the decoder that waits for the first picture."""
     decoded = opened.decode(message)
     frame = decoded.header.frame_id.lstrip("/")
     stated = getattr(decoded, "format", "") or getattr(decoded, "encoding", "")
+    codec = codec_of(decoded)
     try:
-        pixels = decode_image(decoded)
+        if codec is None:
+            pixels = decode_image(decoded)
+            array, encoding = pixels.array, pixels.encoding
+        else:
+            array, encoding = _first_picture(message.topic, codec, decoded, videos), "rgb8"
     except ValueError:
-        return ImageHead("?", 0, 0, frame, stated)
-    height, width = pixels.array.shape[:2]
-    return ImageHead(pixels.encoding, width, height, frame, stated)
+        return ImageHead("?", 0, 0, frame, stated, codec)
+    height, width = array.shape[:2]
+    return ImageHead(encoding, width, height, frame, stated, codec)
+
+
+def _first_picture(
+    topic: str, codec: str, decoded: Any, videos: dict[str, VideoDecoder]
+) -> NDArray[np.uint8]:
+    """ValueError where there is none yet, or the extra is not installed."""
+    if not is_available():
+        raise ValueError(f"{codec} video needs {EXTRA}")
+    if topic not in videos:
+        videos[topic] = VideoDecoder(codec)
+    for _, picture in videos[topic].feed(bytes(memoryview(decoded.data))):
+        return picture
+    raise ValueError("no picture yet")

@@ -157,7 +157,8 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
         *stamp_notes(window.stamp_faults),
     ]
     grasps, lost = recorded_grasps(scanned), LostFrames(opened.damage)
-    reader = FrameReader(opened, colour, depth, window.pairs, camera, robot, grasps, lost)
+    codec = scanned.images[colour].codec
+    reader = FrameReader(opened, colour, depth, window.pairs, camera, robot, grasps, lost, codec)
     checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock)
     if not spec.parts:
         checks += part_check(spec.recording)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
-from tests.recording.packaging import STORE, Message, contents, opened
+from tests.recording.recorders import STORE, Message, contents, opened
 
 
 @pytest.fixture(scope="session")

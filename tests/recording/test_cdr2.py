@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import Writer
 from rosbags.interfaces import Nodetype
-from tests.recording.packaging import STORE, Message, contents, opened
+from tests.recording.recorders import STORE, Message, contents, opened
 
 
 def encoded(kind: str, value: Any, order: str = "<", lengths: bool = True) -> bytes:

@@ -15,7 +15,7 @@ from dgeval.recording.lens import lens_of
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.messages import CameraModel
 from dgeval.recording.trials import open_trial
-from tests.recording.packaging import (
+from tests.recording.recorders import (
     COLOUR,
     DEPTH,
     INFO,

@@ -21,7 +21,7 @@ from dgeval.recording.image_codecs import rvl
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
 from rosbags.rosbag1 import Writer as BagWriter
-from tests.recording.packaging import (
+from tests.recording.recorders import (
     COLOUR,
     DEPTH,
     EVENTS,

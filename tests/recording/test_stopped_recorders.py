@@ -18,7 +18,7 @@ from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from tests.recording.packaging import STORE, Message, contents, opened, write
+from tests.recording.recorders import STORE, Message, contents, opened, write
 
 
 def rosbag2(

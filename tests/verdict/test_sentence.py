@@ -59,7 +59,8 @@ def hindsight(**changed: object) -> Any:
     values: dict[str, object] = {
         "gap_s": 0.4, "gap_sided": "two", "notes": ("a note of hindsight",),
         "contact_link": "palm", "contact_ns": None, "pushed_ns": None,
-        "n_registered": 20, "path": SimpleNamespace(velocity=np.array([[9.0, 9.0, 9.0], [0.06, 0.08, 0.0]])),
+        "n_registered": 20,
+        "path": SimpleNamespace(velocity=np.array([[9.0, 9.0, 9.0], [0.06, 0.08, 0.0]])),
     }  # fmt: skip
     return SimpleNamespace(**{**values, **changed})
 

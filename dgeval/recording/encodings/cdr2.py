@@ -1,4 +1,4 @@
-"""CDR version 2 (XCDR2, DDS-XTypes 1.3 section 7.4): what some DDS vendors write for ROS 2.
+"""CDR version 2 (XCDR2 of DDS-XTypes 1.3, 7.4): what some DDS vendors write for ROS 2.
 
 Against version 1, numbers of 8 bytes stand at multiples of 4, and a sequence of other things than
 numbers has its length in bytes before it. Some writers leave that length out; both are read.

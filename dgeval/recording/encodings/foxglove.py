@@ -14,6 +14,7 @@ from typing import Any
 # Foxglove's type, without its package: the ROS 2 type that means the same
 STANDS_FOR = {
     "CompressedImage": "sensor_msgs/msg/CompressedImage",
+    "CompressedVideo": "foxglove_msgs/msg/CompressedVideo",
     "RawImage": "sensor_msgs/msg/Image",
     "CameraCalibration": "sensor_msgs/msg/CameraInfo",
     "FrameTransform": "tf2_msgs/msg/TFMessage",
@@ -114,6 +115,7 @@ def _joint_states(m: Any) -> SimpleNamespace:
 
 ADAPTERS: dict[str, Callable[[Any], SimpleNamespace]] = {
     "CompressedImage": _compressed_image,
+    "CompressedVideo": _compressed_image,
     "RawImage": _raw_image,
     "CameraCalibration": _camera_calibration,
     "FrameTransform": lambda m: SimpleNamespace(transforms=[_transform(m)]),
