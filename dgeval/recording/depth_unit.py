@@ -61,10 +61,14 @@ def factor_by_motion(frames: Sequence[Frame]) -> float | None:
         if not MOVED_M <= np.linalg.norm(T_b_a[:3, 3]) <= MOST_MOVED_M:
             continue
         misfit = np.array([_misfit(a, b, T_b_a, float(factor)) for factor in FACTORS])
-        at_one = misfit[len(FACTORS) // 2]
-        if not np.isfinite(at_one):
+        if np.isnan(misfit).all():
             continue
         best = int(np.nanargmin(misfit))
+        at_one = misfit[len(FACTORS) // 2]
+        if np.isnan(at_one):  # as recorded the frames hardly overlap, which itself may be the fault
+            if misfit[best] > LEAST_WORSE:
+                continue
+            at_one = np.inf
         is_sharp = at_one > max(LEAST_WORSE, WORSE * misfit[best])
         votes.append(float(FACTORS[best]) if is_sharp else 1.0)
     if not votes:

@@ -1,0 +1,134 @@
+"""Catches: two robots mixed into one, a camera that does not hang on the hand, and a hand that is
+only known by its name.
+"""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dgeval.recording.namespaces import differ, of_camera
+from dgeval.robots.description import load_description
+from tests.recording.recorders import (
+    COLOUR,
+    DEPTH,
+    INFO,
+    JOINTS,
+    TYPES,
+    Message,
+    contents,
+    opened,
+    write,
+)
+
+CAMERA = "camera_color_optical_frame"
+
+
+def second_robot(messages: list[Message], own: str, other: str) -> list[Message]:
+    """All topics in a namespace, and another robot's joints, reversed in time, in its own."""
+    out = [[m[0], m[1] if m[1].startswith("/dgeval") else own + m[1], *m[2:]] for m in messages]
+    joints = [m for m in messages if m[1] == JOINTS]
+    for at, value in zip(joints, reversed(joints), strict=True):
+        moved = copy.deepcopy(value[3])
+        moved.header = at[3].header
+        out.append([at[0] + 1000, other + JOINTS, at[2], moved])
+    return out
+
+
+@pytest.mark.parametrize(("own", "other"), [("/robot1", "/robot2"), ("/robot2", "/robot1")])
+def test_the_cameras_robot_counts(
+    tmp_path: Path, messages: list[Message], original: list[Any], own: str, other: str
+) -> None:
+    """Fails where the first by alphabet wins: 0.27 m/s for 0.08."""
+    trial = opened(write(tmp_path / "a.mcap", second_robot(messages, own, other)))
+    assert contents(trial) == original
+    assert not trial.checks
+    assert any("another robot" in note for note in trial.notes)
+
+
+def test_robots_that_nothing_tells_apart_fail_a_check(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where one of them is taken without a word."""
+    mixed = second_robot(messages, "/robot1", "/robot2")
+    mixed = [[m[0], m[1].replace("/robot1/camera", "/eye/camera"), *m[2:]] for m in mixed]
+    path = write(tmp_path / "a.mcap", mixed)
+    assert [c.name for c in opened(path).checks] == ["robots"]
+    assert not opened(path, "frames.namespace=/robot1").checks
+
+
+def test_a_relay_of_the_same_joints_is_no_second_robot() -> None:
+    """Fails where the arm's own topic beside a merged one is called another robot's."""
+    times = np.arange(0, 100) * 10_000_000
+    a = times, np.sin(times[:, None] * 1e-9)
+    later = times + 1_000_000, np.sin(times[:, None] * 1e-9)
+    assert not differ(a, later, 0.02)
+    assert differ(a, (times, -a[1]), 0.02)
+    assert of_camera(["", "/arm"], lambda *_: False, "/camera/color", None) == (["", "/arm"], [])
+
+
+def test_the_camera_on_the_hand_goes_before_one_on_a_stand(
+    tmp_path: Path, messages: list[Message], original: list[Any]
+) -> None:
+    """Fails where the first by name is taken: no frame could be registered, without a word."""
+    out = [[m[0], m[1].replace("/camera/", "/wrist/"), *m[2:]] for m in messages]
+    first = min(m[0] for m in messages)
+    stamp = TYPES["builtin_interfaces/msg/Time"](sec=first // 10**9, nanosec=first % 10**9)
+    vector, rotation = TYPES["geometry_msgs/msg/Vector3"], TYPES["geometry_msgs/msg/Quaternion"]
+    mount = TYPES["geometry_msgs/msg/TransformStamped"](
+        header=TYPES["std_msgs/msg/Header"](stamp=stamp, frame_id="base_link"),
+        child_frame_id="head_camera",
+        transform=TYPES["geometry_msgs/msg/Transform"](
+            translation=vector(x=1.0, y=0.0, z=1.0), rotation=rotation(x=0.0, y=0.0, z=0.0, w=1.0)
+        ),
+    )
+    tf = TYPES["tf2_msgs/msg/TFMessage"](transforms=[mount])
+    out.append([first, "/tf_static", "tf2_msgs/msg/TFMessage", tf])
+    for m in messages:
+        if m[1] in (COLOUR, DEPTH, INFO):
+            value = copy.deepcopy(m[3])
+            value.header.frame_id = "head_camera"
+            out.append([m[0], m[1].replace("/camera/", "/ahead/"), m[2], value])
+    trial = opened(write(tmp_path / "a.mcap", out))
+    assert trial.roles.colour == COLOUR.replace("/camera/", "/wrist/")
+    assert contents(trial) == original
+    assert any("could be it too" in note for note in trial.notes)
+
+
+def test_the_hand_is_found_where_chains_part(
+    tmp_path: Path, messages: list[Message], demo: Path
+) -> None:
+    """Fails where no frame is named as a hand, and the hand's pose is silently not known."""
+    palm = opened(demo).robot.palm_frame
+    out = []
+    for m in messages:
+        value = m[3]
+        if m[1] == "/robot_description":
+            text = value.data.replace("palm_link", "link_7").replace("hand_base", "part_x")
+            value = TYPES["std_msgs/msg/String"](data=text)
+        out.append([*m[:3], value])
+    robot = opened(write(tmp_path / "a.mcap", out)).robot
+    assert palm == "palm_link"
+    assert robot.palm_frame in ("link_7", "part_x")
+    assert len(robot.hand_links) == 7
+
+
+def test_two_arms_part_at_the_base_and_that_is_no_hand() -> None:
+    """Fails where the torso of two arms is called a hand."""
+
+    def joint(name: str, parent: str, child: str) -> str:
+        return (
+            f'<link name="{child}"/><joint name="{name}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="{child}"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" '
+            'velocity="1"/></joint>'
+        )
+
+    parts = [joint("a", "base", "la"), joint("b", "base", "ra"), joint("c", "la", "lh")]
+    parts += [joint("f1", "lh", "lf1"), joint("f2", "lh", "lf2")]
+    text = '<robot name="r"><link name="base"/>' + "".join(parts) + "</robot>"
+    assert load_description(text, "test", [], 0.01).branches() == ["lh"]
+    one = '<robot name="r"><link name="base"/>' + joint("a", "base", "l1") + "</robot>"
+    assert load_description(one, "test", [], 0.01).branches() == []

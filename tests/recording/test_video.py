@@ -1,0 +1,132 @@
+"""Catches: pictures of a video given to other stamps, colours by another matrix, and a lost packet
+that costs the whole trial.
+"""
+
+from __future__ import annotations
+
+import copy
+import fractions
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from dgeval.errors import UnreadableError
+from dgeval.recording.video import VideoDecoder, codec_of
+from tests.recording.recorders import COLOUR, Message, opened, write
+
+av = pytest.importorskip("av", reason="the extra dgeval[video] is not installed")
+
+
+def encoded(pictures: list[np.ndarray], gop: int, codec: str = "libx264") -> list[bytes]:
+    """One packet per picture, without pictures that look ahead."""
+    context = av.CodecContext.create(codec, "w")
+    height, width = pictures[0].shape[:2]
+    context.width, context.height, context.pix_fmt = width, height, "yuv420p"
+    context.time_base, context.gop_size = fractions.Fraction(1, 30), gop
+    context.options = {"tune": "zerolatency", "crf": "10", "preset": "ultrafast"}
+    out = []
+    for k, picture in enumerate(pictures):
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+        frame.pts = k
+        out += [bytes(p) for p in context.encode(frame)]
+    return out + [bytes(p) for p in context.encode(None)]
+
+
+def moving(n: int = 12) -> list[np.ndarray]:
+    """Smooth pictures (48, 64, 3) whose light tells their number."""
+    base = np.linspace(30, 120, 64)[None, :, None] + np.zeros((48, 64, 3))
+    return [(base + np.array([8.0 * k, 40, 10])).clip(0, 255).astype(np.uint8) for k in range(n)]
+
+
+@pytest.mark.parametrize("gop", [1, 30])
+def test_each_picture_has_its_messages_number(gop: int) -> None:
+    """Fails where a picture is given to the message after its own."""
+    pictures = moving()
+    decoder = VideoDecoder("h264")
+    got = [pair for packet in encoded(pictures, gop) for pair in decoder.feed(packet)]
+    got += list(decoder.rest())
+    assert [k for k, _ in got] == list(range(len(pictures)))
+    for k, picture in got:
+        assert abs(float(picture[..., 0].mean()) - float(pictures[k][..., 0].mean())) < 3
+
+
+def test_a_lost_packet_costs_no_other_number() -> None:
+    """Fails where the pictures after a broken packet move up by one."""
+    pictures = moving()
+    packets = encoded(pictures, 1)
+    packets[4] = b"\0\0\0\1broken"
+    decoder = VideoDecoder("h264")
+    got = [pair for packet in packets for pair in decoder.feed(packet)]
+    got += list(decoder.rest())
+    assert {k for k, _ in got} >= set(range(12)) - {4}
+    for k, picture in got:
+        if k != 4:
+            assert abs(float(picture[..., 0].mean()) - float(pictures[k][..., 0].mean())) < 3
+
+
+@pytest.mark.parametrize(
+    ("stated", "codec"),
+    [
+        ({"format": "h264"}, "h264"),
+        ({"format": "H.265"}, "hevc"),
+        ({"encoding": "libx264"}, "h264"),
+        ({"encoding": "hevc;yuv420p;bgr8;bgr8"}, "hevc"),
+        ({"format": "av1"}, "av1"),
+        ({"format": "jpeg"}, None),
+        ({"format": "rgb8; jpeg compressed bgr8"}, None),
+        ({"encoding": "bayer_rggb8"}, None),
+        ({"encoding": "rgb8"}, None),
+    ],
+)
+def test_video_is_known_by_its_word(stated: dict[str, str], codec: str | None) -> None:
+    assert codec_of(SimpleNamespace(data=b"", **stated)) == codec
+
+
+def as_video(messages: list[Message], gop: int, lost: int | None = None) -> list[Message]:
+    """The demo's colour as H.264 in CompressedImage."""
+    colours = [m for m in messages if m[1] == COLOUR]
+    pictures = [
+        cv2.cvtColor(cv2.imdecode(np.asarray(m[3].data, np.uint8), 1), cv2.COLOR_BGR2RGB)
+        for m in colours
+    ]
+    out = [m for m in messages if m[1] != COLOUR]
+    for k, (m, packet) in enumerate(zip(colours, encoded(pictures, gop), strict=True)):
+        value = copy.deepcopy(m[3])
+        value.format = "h264"
+        value.data = np.frombuffer(b"x" if k == lost else packet, np.uint8)
+        out.append([*m[:3], value])
+    return out
+
+
+def test_a_recording_with_video(tmp_path: Path, messages: list[Message], demo: Path) -> None:
+    """Fails where frames get other stamps or pictures, or a second pass differs from the first."""
+    trial = opened(write(tmp_path / "v.mcap", as_video(messages, 15)))
+    assert not trial.checks
+    plain = {f.t_ns: f for f in opened(demo).frames() if f.index % 7 == 0}
+    for _ in range(2):
+        frames = list(trial.frames())
+        assert len(frames) == len(trial.pairs)
+        for f in frames:
+            if f.t_ns in plain:
+                apart = np.abs(f.colour.astype(int) - plain[f.t_ns].colour)
+                assert apart.mean() < 6
+                assert np.array_equal(f.depth, plain[f.t_ns].depth)
+
+
+def test_a_picture_that_is_lost_costs_its_frame(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where the frames behind it wait for it for ever."""
+    trial = opened(write(tmp_path / "v.mcap", as_video(messages, 1, lost=20)))
+    stamps = [p.t_ns for p in trial.pairs]
+    assert [f.t_ns for f in trial.frames()] == stamps[:20] + stamps[21:]
+    assert trial.n_undecodable_frames == 1
+
+
+def test_without_the_extra_the_message_names_it(
+    tmp_path: Path, messages: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("scan", "roles"):
+        monkeypatch.setattr(f"dgeval.recording.{name}.is_available", lambda: False)
+    with pytest.raises(UnreadableError, match=r"dgeval\[video\]"):
+        opened(write(tmp_path / "v.mcap", as_video(messages, 1)))
