@@ -52,8 +52,15 @@ class Events:
 
 
 def events_within(events: list[Event], start_ns: int, end_ns: int, limit_ns: int | None) -> Events:
-    """The events of a window, ns, and of AFTER_NS after it, but none after `limit_ns`."""
-    inside = [e for e in events if start_ns <= e.t_ns <= end_ns + AFTER_NS]
-    if limit_ns is not None:
-        inside = [e for e in inside if e.t_ns <= limit_ns]
-    return Events(tuple(inside))
+    """The events of a window, ns, and of AFTER_NS after it, but none after `limit_ns`.
+
+    Labels come later, when an operator has looked: all up to the next trial's start.
+    """
+    last_ns = end_ns + AFTER_NS if limit_ns is None else min(end_ns + AFTER_NS, limit_ns)
+    starts = [e.t_ns for e in events if e.kind == TRIAL_START_EVENT and e.t_ns > end_ns]
+
+    def belongs(event: Event) -> bool:
+        is_late_label = event.kind == LABEL_EVENT and (not starts or event.t_ns < min(starts))
+        return start_ns <= event.t_ns and (event.t_ns <= last_ns or is_late_label)
+
+    return Events(tuple(e for e in events if belongs(e)))
