@@ -22,10 +22,12 @@ from dgeval.recording.contract import (
     TRIAL_END_EVENT,
 )
 from dgeval.recording.events import Events
+from dgeval.recording.grippers import GRIPPER_WORDS, GripperTrack, is_command_topic
 from dgeval.recording.messages import Event
 from dgeval.recording.robot import RobotStates
+from dgeval.recording.scan import Scan
 
-CloseSource = Literal["recorded", "given", "inferred"]
+CloseSource = Literal["event", "manifest", "command", "joints", "width"]
 
 CLOSES_BY = 0.20  # share of the recorded range by which a closing motion narrows the hand
 LEAST_M = 0.004  # m, least range of a hand that is said to close at all; ours
@@ -50,13 +52,15 @@ class CloseKnown:
 
     events: with the close, and a lift where the palm shows one. source: None without a close.
     missing: why no close is known; None where one is, or where the robot wrote its events and none
-    is a close. note: for the trial's row, "" without.
+    is a close. note: for the trial's row, "" without. fingers_ns: when the fingers are seen to
+    begin to close; None where that is not seen.
     """
 
     events: Events
     source: CloseSource | None
     missing: str | None
     note: str = ""
+    fingers_ns: int | None = None
 
 
 def close_of(
@@ -66,20 +70,40 @@ def close_of(
     last_ns: int,
     given_ns: int | None = None,
     lift_ns: int | None = None,
+    grippers: tuple[GripperTrack, ...] = (),
 ) -> CloseKnown:
     """The close of a trial whose images last from first_ns to last_ns.
 
-    given_ns, lift_ns: what a person says, which goes before everything else.
+    By the first of these that tells: a person, an event, a gripper's command, the fingers' joints,
+    a gripper's width. given_ns, lift_ns: what a person says. grippers: of the whole recording.
     """
+    found = _inferred(robot, first_ns, last_ns)
+    fingers_ns = None if isinstance(found, NoClose) else found[0]
     if lift_ns is not None:
         events = _with(events, LIFT_EVENT, lift_ns)
     if given_ns is not None:
         at = (given_ns - first_ns) * 1e-9
         note = f"the close at {at:+.2f} s is as given, not as recorded"
-        return CloseKnown(_with(events, CLOSE_EVENT, given_ns), "given", None, note)
+        events = _with(events, CLOSE_EVENT, given_ns)
+        return CloseKnown(events, "manifest", None, note, fingers_ns)
     if events.first_ns(CLOSE_EVENT) is not None:
-        return CloseKnown(events, "recorded", None)
-    found = _inferred(robot, first_ns, last_ns)
+        return CloseKnown(events, "event", None, "", fingers_ns)
+    told = _by_grippers(robot, grippers, first_ns, last_ns, commands=True)
+    if told is None and isinstance(found, NoClose) and not found.fingers_seen:
+        told = _by_grippers(robot, grippers, first_ns, last_ns, commands=False)
+    if told is not None:
+        track, close_ns, lift_at = told
+        events = _with(events, CLOSE_EVENT, close_ns)
+        if lift_ns is None:
+            events = _with(events, LIFT_EVENT, lift_at)
+        at = (close_ns - first_ns) * 1e-9
+        how = "is told to move" if track.is_command else "moves"
+        note = (
+            f"no close event is recorded; {track.topic} {how} at {at:+.2f} s, for the last time "
+            f"before the palm rises: taken for the close; if that is wrong: {MENDS}"
+        )
+        source: CloseSource = "command" if track.is_command else "width"
+        return CloseKnown(events, source, None, note, fingers_ns)
     if isinstance(found, NoClose):
         if found.fingers_seen and events.first_ns(TRIAL_END_EVENT) is not None:
             # the robot writes its events, none is a close, and its fingers agree
@@ -94,7 +118,35 @@ def close_of(
         f"no close command is recorded; the fingers begin to close at {at:+.2f} s "
         f"(± {max(period_s, 0.03):.2f} s), before the palm rises; if that is wrong: {MENDS}"
     )
-    return CloseKnown(events, "inferred", None, note)
+    return CloseKnown(events, "joints", None, note, fingers_ns)
+
+
+def _by_grippers(
+    robot: RobotStates,
+    grippers: tuple[GripperTrack, ...],
+    first_ns: int,
+    last_ns: int,
+    commands: bool,
+) -> tuple[GripperTrack, int, int] | None:
+    """The track that shows a close, the close and the lift, ns; None without.
+
+    The last change of each track before the palm rises; of several tracks the latest, by then all
+    have been told.
+    """
+    best = None
+    for track in grippers:
+        if track.is_command != commands:
+            continue
+        for start, end in reversed(track.changes()):
+            if not first_ns <= start <= last_ns:
+                continue
+            rest = end if end > start else end + round(WITHIN_S * 1e9)
+            lift = _lift(robot, start, rest, last_ns)
+            if lift is not None and lift - start >= BEFORE_LIFT_NS:
+                if best is None or start > best[1]:
+                    best = track, start, lift
+                break
+    return best
 
 
 def _with(events: Events, kind: str, t_ns: int) -> Events:
@@ -250,3 +302,25 @@ def _lift(robot: RobotStates, close_ns: int, rest_ns: int, last_ns: int) -> int 
     if begin - rest_ns > AFTER_S * 1e9 or heights[up][0] - begin > RISES_S * 1e9:
         return None
     return begin
+
+
+def gripper_tracks(scan: Scan, robot: RobotStates) -> tuple[GripperTrack, ...]:
+    """What the gripper's own topics say, and joints of it that no description knows."""
+    out = []
+    for topic, pairs in sorted(scan.grippers.items()):
+        rows = sorted(dict(pairs).items())
+        kind = scan.opened.topics[topic].type
+        times = np.array([t for t, _ in rows], dtype=np.int64)
+        values = np.array([v for _, v in rows])
+        out.append(GripperTrack(topic, is_command_topic(topic, kind), times, values))
+    known = (
+        set()
+        if robot.description is None
+        else {j.follows for j in robot.description.joints.values()}
+    )
+    for name, stamps in sorted(robot.joints.times.items()):
+        if name not in known and any(word in name.lower() for word in GRIPPER_WORDS):
+            times = np.array(stamps, dtype=np.int64)
+            values = np.array(robot.joints.values[name])
+            out.append(GripperTrack(f"the joint {name}", False, times, values))
+    return tuple(out)

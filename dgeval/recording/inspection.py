@@ -65,9 +65,11 @@ def _foretold(path: Path, config: Config) -> tuple[list[dict[str, str]], str, li
     close = (
         trial.close.missing
         or {
-            "recorded": "the close is recorded",
-            "inferred": "the close is inferred from the fingers",
-            "given": "the close is given",
+            "event": "the close is recorded",
+            "command": "the close is a command to the gripper",
+            "joints": "the close is inferred from the fingers",
+            "width": "the close is inferred from the gripper's width",
+            "manifest": "the close is given",
             None: "the robot's events hold no close",
         }[trial.close.source]
     )

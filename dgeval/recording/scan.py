@@ -19,6 +19,7 @@ from dgeval.geometry import Array
 from dgeval.recording.clocks import RecorderClock, recorder_clock
 from dgeval.recording.containers.container import Opened, RawMessage
 from dgeval.recording.contract import DEPTH_UNIT, EVENTS_TOPIC, ROBOT_DESCRIPTION, SCORE_TOPIC
+from dgeval.recording.grippers import is_gripper_topic, number_of
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import (
     CAMERA_INFO,
@@ -123,6 +124,7 @@ class Scan:
     poses: dict[str, list[StampedPose]] = field(default_factory=lambda: defaultdict(list))
     twists: dict[str, list[tuple[int, Array]]] = field(default_factory=lambda: defaultdict(list))
     joints: dict[str, list[JointSample]] = field(default_factory=lambda: defaultdict(list))
+    grippers: dict[str, list[tuple[int, float]]] = field(default_factory=lambda: defaultdict(list))
     scores: list[tuple[int, float]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     recorder_clock: RecorderClock | None = None
@@ -189,6 +191,13 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                     out.descriptions[message.topic] = text
             elif message.topic.endswith(DEPTH_UNIT):
                 out.depth_units[message.topic] = round(float(opened.decode(message).data), 9)
+            elif is_gripper_topic(message.topic, topic.type):
+                gripper = opened.decode(message)
+                number = number_of(gripper)
+                header = getattr(gripper, "header", None)
+                if number is not None:
+                    at = message.log_ns if header is None else stamp_ns(gripper)
+                    out.grippers[message.topic].append((at or message.log_ns, number))
             elif message.topic == SCORE_TOPIC:
                 out.scores.append((message.log_ns, float(opened.decode(message).data)))
         except NOT_USABLE as error:

@@ -13,7 +13,7 @@ from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics
 from dgeval.recording.camera import camera_of
 from dgeval.recording.checks import Check, clock_check, event_checks, failed_checks, part_check
-from dgeval.recording.closes import CloseKnown, close_of
+from dgeval.recording.closes import CloseKnown, close_of, gripper_tracks
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import EventKind
@@ -145,7 +145,8 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
         _given(spec.close_ns, spec.close_after_s, first_ns),
         _given(spec.lift_ns, spec.lift_after_s, first_ns),
     )
-    close = close_of(marked, robot, first_ns, window.pairs[-1].t_ns, *given)
+    grippers = gripper_tracks(scanned, robot)
+    close = close_of(marked, robot, first_ns, window.pairs[-1].t_ns, *given, grippers)
     events = close.events
     notes = [
         *opened.notes,

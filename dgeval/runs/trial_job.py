@@ -257,6 +257,8 @@ def trial_row(
         "target_source": "bbox" if spec.bbox is not None else "automatic",
         "t_execute_ns": t_execute_ns,
         "t_close_ns": trial.event_ns(CLOSE_EVENT),
+        "close_source": trial.close.source,
+        "t_fingers_ns": trial.close.fingers_ns,
         "t_decisive_ns": judgement.decisive_ns,
         "contact_link": judgement.link,
         "notes": "; ".join(

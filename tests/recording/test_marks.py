@@ -85,7 +85,7 @@ def test_fingers_that_are_seen_closing_go_before_a_trial_end(
     trial = opened(
         write(tmp_path / "a.mcap", marked(messages, (CLOSE_EVENT,), '{"event": "trial_end"}'))
     )
-    assert trial.close.source == "inferred"
+    assert trial.close.source == "joints"
     close_ns, recorded_ns = trial.event_ns(CLOSE_EVENT), plain.event_ns(CLOSE_EVENT)
     assert close_ns is not None
     assert recorded_ns is not None

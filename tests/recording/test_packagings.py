@@ -338,7 +338,7 @@ def test_a_log_without_events_tells_the_close_by_the_fingers(
     trial = opened(path)
     recorded = opened(demo).event_ns("close")
     assert recorded is not None
-    assert trial.close.source == "inferred"
+    assert trial.close.source == "joints"
     assert any("the fingers begin to close at +3.2" in n for n in trial.notes), "said"
     assert trial.event_ns("close") == pytest.approx(recorded, abs=50_000_000)
     still = [m for m in messages if m[1] not in (EVENTS, JOINTS)]

@@ -1,0 +1,106 @@
+"""What a gripper's own topics say of its closing: commands, goals of actions, and its width.
+
+Nothing tells whether a larger number opens or closes a hand: widths shrink, the joint of a Robotiq
+grows. But the last time that the gripper is told to move, or moves, before the palm rises, it
+closes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.geometry import Array
+
+GRIPPER_WORDS = ("gripper", "finger", "jaw", "hand")
+COMMAND_WORDS = ("command", "cmd", "goal", "desired", "target", "setpoint")
+# types whose number is what a gripper is told to do
+COMMAND_TYPES = ("Goal", "GripperCommand", "robot_output", "CommandedState")
+# where a message of a gripper has its number, tried in turn
+PATHS = (
+    ("goal", "command", "position"),
+    ("goal", "width"),
+    ("command", "position"),
+    ("position",),
+    ("width",),
+    ("rPR",),
+    ("gPO",),
+    ("data",),
+)
+NUMBERS = ("std_msgs/msg/Float32", "std_msgs/msg/Float64", "std_msgs/msg/Int32")
+CHANGES_BY = 0.10  # share of its range by which a command changes, to be a new one; ours
+SINGLE = 3  # messages of a command topic, up to which each of them is a command by itself; ours
+MOVES_BY = 0.20  # share of its range that a closing motion covers, as of fingers (`closes`)
+WITHIN_S = 1.5  # s, in which it does so
+
+
+@dataclass(frozen=True)
+class GripperTrack:
+    """One number of a gripper over time: stamps, ns, rising, and values (n,)."""
+
+    topic: str
+    is_command: bool
+    times: NDArray[np.int64]
+    values: Array
+
+    def changes(self) -> list[tuple[int, int]]:
+        """Start and end, ns, of each motion; of a command both are when it was given."""
+        span = float(np.ptp(self.values)) if len(self.values) else 0.0
+        if self.is_command:
+            step = np.abs(np.diff(self.values)) > max(CHANGES_BY * span, 1e-6)
+            # a topic of single commands; a stream of them begins with what holds already
+            first = self.times[:1] if len(self.times) <= SINGLE else self.times[:0]
+            given = [*first, *self.times[1:][step]]
+            return [(int(t), int(t)) for t in given]
+        if span < 1e-6:
+            return []
+        return _motions(self.times, self.values, span)
+
+
+def _motions(times: NDArray[np.int64], values: Array, span: float) -> list[tuple[int, int]]:
+    """Motions in one direction that cover enough of the range in time; their start is where they
+    leave the level before."""
+    rate = np.gradient(values, times * 1e-9) if len(times) > 2 else np.zeros(len(times))
+    moving = np.abs(rate) > MOVES_BY * span / WITHIN_S
+    out, k = [], 0
+    while k < len(times):
+        if not moving[k]:
+            k += 1
+            continue
+        end = k
+        while end + 1 < len(times) and moving[end + 1] and rate[end + 1] * rate[k] > 0:
+            end += 1
+        first, last = max(0, k - 1), min(len(times) - 1, end + 1)
+        if abs(values[last] - values[first]) >= MOVES_BY * span:
+            left = np.abs(values[first : last + 1] - values[first]) > 0.05 * span
+            out.append((int(times[first + int(np.argmax(left))]), int(times[last])))
+        k = end + 1
+    return out
+
+
+def is_gripper_topic(name: str, kind: str) -> bool:
+    """Whether a topic is a gripper's, by its name and by its type."""
+    has_word = any(word in name.lower() for word in GRIPPER_WORDS)
+    return has_word and (kind in NUMBERS or "ripper" in kind or kind.endswith("GraspActionGoal"))
+
+
+def is_command_topic(name: str, kind: str) -> bool:
+    """Whether a gripper's topic says what it is told, and not where it is."""
+    last = name.lower().rsplit("/", 1)[-1]
+    return any(word in last for word in COMMAND_WORDS) or any(
+        kind.endswith(t) for t in COMMAND_TYPES
+    )
+
+
+def number_of(message: Any) -> float | None:
+    """The number in a gripper's message; None where none is found."""
+    for path in PATHS:
+        value = message
+        for name in path:
+            value = getattr(value, name, None)
+        if isinstance(value, int | float | np.number) and np.isfinite(value):
+            return float(value)
+    return None

@@ -1,0 +1,136 @@
+"""Catches: a close that only the gripper's own topics show, missed, or taken at another time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from dgeval.recording.contract import CLOSE_EVENT
+from dgeval.recording.events import Events
+from dgeval.recording.grippers import (
+    GripperTrack,
+    is_command_topic,
+    is_gripper_topic,
+    number_of,
+)
+from dgeval.recording.messages import event_of
+from tests.recording.recorders import EVENTS, JOINTS, TYPES, Message, opened, write
+
+S = 1_000_000_000
+
+
+def track(values: list[float], command: bool = False, step_s: float = 0.1) -> GripperTrack:
+    times = (np.arange(len(values)) * step_s * S).astype(np.int64)
+    return GripperTrack("/gripper", command, times, np.array(values))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_motion_in_either_direction(sign: float) -> None:
+    """Fails where the joint of a gripper that grows in closing is said never to close."""
+    values = [0.08] * 10 + [0.08 - 0.015 * k for k in range(1, 5)] + [0.02] * 10
+    ((start, end),) = track([sign * v for v in values]).changes()
+    assert abs(start - 1.0 * S) <= 0.1 * S
+    assert abs(end - 1.4 * S) <= 0.15 * S
+
+
+def test_slow_creep_and_noise_are_no_motion() -> None:
+    noise = np.random.default_rng(0).normal(0, 1e-4, 60)
+    values = [0.08 - 0.0001 * k + e for k, e in enumerate(noise)]
+    wide = track([*values, 0.0, *[0.0] * 20])
+    assert len(wide.changes()) == 1
+
+
+def test_commands_count_when_they_change_or_stand_alone() -> None:
+    """Fails where each message of a stream of equal commands is a close."""
+    assert track([0.08] * 20 + [0.0] * 20, True).changes() == [(2 * S, 2 * S)]
+    assert track([0.08] * 20, True).changes() == []
+    assert track([0.01], True).changes() == [(0, 0)]
+
+
+@pytest.mark.parametrize(
+    ("message", "value"),
+    [
+        (SimpleNamespace(data=0.04), 0.04),
+        (SimpleNamespace(position=0.3, max_effort=5.0), 0.3),
+        (SimpleNamespace(goal=SimpleNamespace(command=SimpleNamespace(position=0.2))), 0.2),
+        (SimpleNamespace(goal=SimpleNamespace(width=0.05, speed=0.1)), 0.05),
+        (SimpleNamespace(rPR=255, rSP=1), 255.0),
+        (SimpleNamespace(data="close"), None),
+        (SimpleNamespace(data=float("nan")), None),
+    ],
+)
+def test_where_a_message_has_its_number(message: Any, value: float | None) -> None:
+    assert number_of(message) == value
+
+
+def test_topics_of_grippers() -> None:
+    assert is_gripper_topic("/gripper/width", "std_msgs/msg/Float64")
+    assert is_gripper_topic("/franka_gripper/grasp/goal", "franka_gripper/msg/GraspActionGoal")
+    assert not is_gripper_topic("/gripper/image", "sensor_msgs/msg/Image")
+    assert not is_gripper_topic("/battery", "std_msgs/msg/Float64")
+    assert is_command_topic("/gripper/command", "control_msgs/msg/GripperCommand")
+    assert is_command_topic("/gripper/grasp/goal", "franka_gripper/msg/GraspActionGoal")
+    assert not is_command_topic("/gripper/width", "std_msgs/msg/Float64")
+
+
+def without_fingers(messages: list[Message], *more: Message) -> list[Message]:
+    """The demo as a robot whose fingers nobody records and nobody marks."""
+    out = []
+    for log_ns, topic, kind, value in messages:
+        if topic == EVENTS and event_of(value.data, log_ns).kind in (CLOSE_EVENT, "lift"):
+            continue
+        if topic == JOINTS:
+            cut = 7
+            value = TYPES[kind](
+                header=value.header,
+                name=value.name[:cut],
+                position=value.position[:cut],
+                velocity=value.velocity[:0],
+                effort=value.effort[:0],
+            )
+        out.append([log_ns, topic, kind, value])
+    return [*out, *more]
+
+
+def recorded_close(messages: list[Message]) -> int:
+    events = [event_of(m[3].data, m[0]) for m in messages if m[1] == EVENTS]
+    found = Events(tuple(events)).first_ns(CLOSE_EVENT)
+    assert found is not None
+    return found
+
+
+def test_a_width_topic_tells_the_close(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where a recorded width is no sign of a grasp."""
+    first, close_ns = min(m[0] for m in messages), recorded_close(messages)
+    kind = "std_msgs/msg/Float64"
+    width = []
+    for t in range(first, max(m[0] for m in messages), 20_000_000):
+        metres = float(np.interp(t - close_ns, [0, 0.3 * S], [0.08, 0.03]))
+        width.append([t, "/gripper/width", kind, TYPES[kind](data=metres)])
+    trial = opened(write(tmp_path / "a.mcap", without_fingers(messages, *width)))
+    assert trial.close.source == "width"
+    found = trial.event_ns(CLOSE_EVENT)
+    assert found is not None
+    assert abs(found - close_ns) < 50_000_000
+
+
+def test_a_command_goes_before_what_the_fingers_show(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where the delay between command and motion is lost: a hand that reacts late."""
+    close_ns = recorded_close(messages)
+    kind = "std_msgs/msg/Float64"
+    told = [[close_ns - 80_000_000, "/gripper/command", kind, TYPES[kind](data=0.0)]]
+    marked = [
+        m
+        for m in messages
+        if m[1] != EVENTS or event_of(m[3].data, m[0]).kind not in (CLOSE_EVENT, "lift")
+    ]
+    trial = opened(write(tmp_path / "a.mcap", [*marked, *told]))
+    assert trial.close.source == "command"
+    assert trial.event_ns(CLOSE_EVENT) == close_ns - 80_000_000
+    assert trial.close.fingers_ns is not None
+    assert abs(trial.close.fingers_ns - close_ns) < 100_000_000
