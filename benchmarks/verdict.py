@@ -218,7 +218,7 @@ def judge(job: Job) -> dict[str, Any]:
             "p": decision.probabilities,
             "sub": known.sub_cause if known else None,
             "shift_s": known.shift_s if known else None,
-            "reproduced": draws.reproduced,
+            "reproduced": draws.share_reproduced,
             "seconds": time.process_time() - start,
             "draws": [(d.verdict.failure_class, d.reproduced, d.weight) for d in draws.asked],
             "why": answer.reason if isinstance(answer, Unknown) else None,

@@ -34,8 +34,10 @@ def dataset_of(specs: Iterable[TrialSpec], inputs: dict[str, str]) -> dict[str, 
     inputs: SHA-256 by trial. Path and name of a recording are no part of the identity. The result's
     `sha256` is over all of it.
     """
-    outside = ("recording", "sha256", "parts")
-    trials = {s.id: _said({k: v for k, v in asdict(s).items() if k not in outside}) for s in specs}
+    outside = ("recording", "sha256", "parts", "window_is_log_time")
+    trials = {
+        s.id: _without_none({k: v for k, v in asdict(s).items() if k not in outside}) for s in specs
+    }
     about = {
         "trials": json.loads(json.dumps(trials, default=str)),
         "inputs": dict(sorted(inputs.items())),
@@ -46,7 +48,7 @@ def dataset_of(specs: Iterable[TrialSpec], inputs: dict[str, str]) -> dict[str, 
     }
 
 
-def _said(entry: dict[str, Any]) -> dict[str, Any]:
+def _without_none(entry: dict[str, Any]) -> dict[str, Any]:
     """A manifest's entry without what it does not say, so that a new field changes no old entry."""
     return {k: v for k, v in entry.items() if v is not None}
 
@@ -116,7 +118,7 @@ def check_dataset(about: dict[str, Any], dataset: str, specs: list[TrialSpec], p
             Place(str(path)),
         )
     now = dataset_of(specs, {})["trials"]
-    before = {trial: _said(entry) for trial, entry in about["trials"].items()}
+    before = {trial: _without_none(entry) for trial, entry in about["trials"].items()}
     for trial in sorted(set(now) | set(before)):
         if now.get(trial) == before.get(trial):
             continue

@@ -202,6 +202,8 @@ def test_a_sub_cause_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_pixel_format_is_found_in_its_folder() -> None:
     """Catches an order that depends on file names: raw images are asked first."""
     assert [m.__name__.rsplit(".", 1)[-1] for m in codecs()] == [
+        "yuv",
+        "bayer",
         "raw",
         "compressed_depth",
         "compressed",

@@ -11,13 +11,13 @@ from dgeval.config import Config
 from dgeval.errors import DgevalError
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.containers.opening import open_container
-from dgeval.recording.contract import BELIEF_PREFIX, CLOSE_EVENT, LABEL_EVENT, TRUTH_PREFIX
+from dgeval.recording.contract import BELIEF_PREFIX, TRUTH_PREFIX
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.pairing import pair_images
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import Scan, scan
-from dgeval.recording.trials import open_trial
+from dgeval.recording.trials import Trial, open_trial
 
 
 def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
@@ -49,18 +49,25 @@ def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
         "events": [{"t_ns": e.t_ns, "event": e.kind, **e.fields} for e in scanned.events],
         "notes": [*(() if robot is None else robot.notes), *([robot_error] if robot_error else [])],
     }
-    out["answers"] = _answers(out, scanned, roles, robot)
-    out["checks"], out["replay"], notes = _foretold(path, config)
+    trial = _trial(path, config)
+    out["answers"] = _answers(out, roles, robot, trial)
+    out["checks"], out["replay"], notes = _replay_preview(trial)
     out["notes"] += [n for n in notes if n not in out["notes"]]
     return out
 
 
-def _foretold(path: Path, config: Config) -> tuple[list[dict[str, str]], str, list[str]]:
-    """The checks that fail, what `replay` will say first, and its notes, by replay's own code."""
+def _trial(path: Path, config: Config) -> Trial | DgevalError:
+    """The recording's first trial as `replay` opens it, or why it is refused."""
     try:
-        trial = open_trial(find_trials([path], config.roles.events)[0], config)
+        return open_trial(find_trials([path], config.roles.events)[0], config)
     except DgevalError as error:
-        return [], f"refused: {error}", []
+        return error
+
+
+def _replay_preview(trial: Trial | DgevalError) -> tuple[list[dict[str, str]], str, list[str]]:
+    """The checks that fail, what `replay` will say first, and its notes."""
+    if isinstance(trial, DgevalError):
+        return [], f"refused: {trial}", []
     checks = [{"name": c.name, "what": c.what, "mend": c.mend} for c in trial.checks]
     close = (
         trial.close.missing
@@ -168,7 +175,10 @@ def _timing(scanned: Scan, roles: Roles, config: Config) -> dict[str, Any]:
 
 
 def _answers(
-    out: dict[str, Any], scanned: Scan, roles: Roles, robot: RobotStates | None
+    out: dict[str, Any],
+    roles: Roles,
+    robot: RobotStates | None,
+    trial: Trial | DgevalError,
 ) -> list[dict[str, Any]]:
     """Each question, whether this recording can answer it, and what is missing."""
 
@@ -189,8 +199,11 @@ def _answers(
     pose = [] if robot is not None and robot.base_frame else ["camera_pose"]
     hand = [] if robot is not None and robot.palm_frame else ["hand_pose"]
     geometry = [] if robot is not None and robot.hand_links else ["hand_joints with a description"]
-    closed = [] if any(e.kind == CLOSE_EVENT for e in scanned.events) else ["a close event"]
-    label = [] if any(e.kind == LABEL_EVENT for e in scanned.events) else ["a label event"]
+    # inferred closes count, and a hand that is known not to have closed
+    known = isinstance(trial, Trial) and trial.close.missing is None
+    closed = [] if known else ["a close event"]
+    said = isinstance(trial, Trial) and trial.events.label() is not None
+    label = [] if said else ["a label event"]
     belief = [] if out["roles"]["belief"] else ["belief topics"]
     return [
         answer("where is the target in the camera, frame by frame", images),

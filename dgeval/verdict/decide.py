@@ -1,4 +1,4 @@
-"""From what the draws say to the answer: every line that decides a verdict, in order.
+"""From what the draws say to the answer, in the order of its steps.
 
 A draw is one sample of what is uncertain (place, turn, friction, mass). `draws.draws_of` makes
 them; here nothing is simulated.
@@ -45,6 +45,8 @@ GAINS_APART = 1.6
 HUGE = 5.0
 # probability where a part is blamed because it alone is off; chosen on development trials
 ALONE = 0.7
+# times TOLERANCE_M; no error of a hand under a wrong law is larger; ours
+SMALL = 2.0
 # times the next largest error, where several restore success or only all do; ours
 CLEARLY, CLEARLY_ALL = 1.5, 2.0
 
@@ -74,7 +76,7 @@ class Draws:
     """The draws that were asked, the share of all draws that fail as recorded, the instrument."""
 
     asked: tuple[Draw, ...]
-    reproduced: float
+    share_reproduced: float
     instrument: str
 
 
@@ -123,11 +125,11 @@ def too_uncertain(sd_m: float) -> Unknown | None:
     return None
 
 
-def decide(draws: Draws, least: float) -> Decision:
-    """Steps 3 to 5. least: probability under which the answer is unknown."""
+def decide(draws: Draws, min_probability: float) -> Decision:
+    """Steps 3 to 5. min_probability: below which the answer is unknown."""
     p = vote(draws.asked)
     best = int(np.argmax(p))
-    doubt = doubt_of(draws, CLASSES[best], float(p[best]), least)
+    doubt = doubt_of(draws, CLASSES[best], float(p[best]), min_probability)
     if doubt is not None:
         halved = (float(p[0]) / 2, float(p[1]) / 2, float(p[2]) / 2, 0.5)
         return Decision(doubt, halved, draws)
@@ -145,19 +147,22 @@ def vote(asked: Sequence[Draw]) -> Array:
     return np.asarray(np.array(votes) / sum(votes))
 
 
-def doubt_of(draws: Draws, best: FailureClass, p: float, least: float) -> Unknown | None:
+def doubt_of(draws: Draws, best: FailureClass, p: float, min_probability: float) -> Unknown | None:
     """Step 4: why the winning class is not believed. None where it is."""
-    if draws.reproduced < TRUSTED:  # 4a: the instrument does not know this trial
+    share = draws.share_reproduced
+    if share < TRUSTED:  # 4a: the instrument does not know this trial
         return Unknown(
-            f"the recorded failure happens in only {draws.reproduced:.0%} of the draws of the "
+            f"the recorded failure happens in only {share:.0%} of the draws of the "
             f"{draws.instrument}"
         )
-    if best == "collision" and draws.reproduced < RARELY:  # 4b: only displaced objects are hit
+    if (
+        best == "collision" and draws.share_reproduced < RARELY
+    ):  # 4b: only displaced objects are hit
         return Unknown(
-            f"the hand hits the object in the {draws.reproduced:.0%} of the draws that end as "
+            f"the hand hits the object in the {share:.0%} of the draws that end as "
             "recorded, and in the others all is well"
         )
-    if p < least:  # 4c: the draws disagree
+    if p < min_probability:  # 4c: the draws disagree
         return Unknown(
             f"{best} is only {p:.0%} likely over {len(draws.asked)} draws of the object's place"
         )
@@ -208,10 +213,10 @@ def blame_of(decision: Decision, beliefs: Beliefs | Unknown) -> Blame:
         part
         for part in large[:1]
         if sizes[part] > HUGE * TOLERANCE_M
-        and all(sizes[part] > 2.0 * sizes[other] for other in large[1:])
+        and all(sizes[part] > CLEARLY_ALL * sizes[other] for other in large[1:])
     ]
     # 6.5: the servo's law is wrong, and no error is too large to come from it
-    if wrong_law(beliefs) and not huge and all(sizes[p] < 2 * TOLERANCE_M for p in restoring):
+    if wrong_law(beliefs) and not huge and all(sizes[p] < SMALL * TOLERANCE_M for p in restoring):
         return blamed("servo", ALONE)
     # 6.6: one part restores success, alone or far before the next
     if _stands_out(restoring, sizes, CLEARLY):

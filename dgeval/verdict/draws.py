@@ -31,18 +31,18 @@ SD_FRICTION, SD_MASS = 0.15, 0.7  # of logarithms; household objects have 70 to 
 
 
 def decide_scene(
-    scene: Scene, method: str, draws: int, seed: int, least: float
+    scene: Scene, method: str, draws: int, seed: int, min_probability: float
 ) -> Decision | Unknown:
     """Class of a failed grasp: steps 1 to 5 of `decide`, with draws from an instrument.
 
-    method: twin or geometry. least: probability under which the answer is unknown. `Unknown` where
+    method: twin or geometry. min_probability: below which the answer is unknown. `Unknown` where
     the instrument can't be asked at all.
     """
     doubt = too_uncertain(scene.sd_m)
     if doubt is not None:
         return undecided(doubt.reason, method)
     made = draws_of(scene, method, draws, seed)
-    return made if isinstance(made, Unknown) else decide(made, least)
+    return made if isinstance(made, Unknown) else decide(made, min_probability)
 
 
 def draws_of(scene: Scene, method: str, draws: int, seed: int) -> Draws | Unknown:

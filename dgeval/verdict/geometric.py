@@ -16,6 +16,8 @@ from dgeval.verdict.evidence import Scene
 from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S
 
 REACH_M = 0.035  # m; object's middle from the hand's grasp centre, within which a close works
+# m and degrees; an object that is farther off its path was pushed: twice hindsight's error; ours
+PUSHED_M, PUSHED_DEG = 0.003, 3.0
 NEAR_M = 0.15  # m; farther than this from its grasp centre a hand pushes nothing
 
 
@@ -38,8 +40,8 @@ def geometric_draw(scene: Scene, thresholds: Thresholds) -> Draw:
                     np.linalg.norm(real_now - free[k]),
                     np.degrees(rotation_angle(last[:3, :3])),
                 )
-            held = real_now - free[k]
-        real[k] = free[k] + (held if last is not None else 0.0)
+            off_path = real_now - free[k]
+        real[k] = free[k] + (off_path if last is not None else 0.0)
     works = np.linalg.norm(places - real, axis=1) < REACH_M
     velocity = (places[end] - places[max(end - 5, 0)]) / (5 * CONTROL_S)
     curve = [
@@ -53,7 +55,7 @@ def geometric_draw(scene: Scene, thresholds: Thresholds) -> Draw:
             dt = k * CONTROL_S
             gap = places[end] + velocity * dt - real[end] - scene.velocity * dt
             curve.append((dt, bool(np.linalg.norm(gap) < REACH_M)))
-    pushed = np.flatnonzero((off[:, 0] > 0.003) | (off[:, 1] > 3.0))
+    pushed = np.flatnonzero((off[:, 0] > PUSHED_M) | (off[:, 1] > PUSHED_DEG))
     facts = Facts(
         scene.close is not None,
         float(np.sort(off[:, 0])[-3:].min()),

@@ -145,7 +145,7 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
     draws = decision.draws
     notes.append(
         f"verdict: {draws.instrument}, {len(draws.asked)} draws, "
-        f"{draws.reproduced:.0%} reproduce the failure"
+        f"{draws.share_reproduced:.0%} reproduce the failure"
     )
     return notes
 

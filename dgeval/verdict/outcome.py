@@ -18,10 +18,13 @@ from dgeval.recording.robot import RobotStates
 from dgeval.robots.hand import hands
 from dgeval.verdict.log import TrialLog
 
-AFTER_S = 1.0  # after the close, from which fingers at rest tell what they hold
-LAST_S = 0.5  # of the log, over which efforts are judged
-IN_HAND_M, AWAY_M = 0.04, 0.10  # from the object's middle to the hand
-# half of the sightings after the lift agree on the height to within that, or say nothing
+AFTER_S = 1.0  # s after the close, from which fingers at rest tell what they hold; ours
+LAST_S = 0.5  # s of the log, over which efforts are judged; ours
+# m, object's middle to hand: within a large hand's fingers, and out of their reach; ours
+IN_HAND_M, AWAY_M = 0.04, 0.10
+# probability that an inferred outcome is right: by fingers and sightings, fingers, sightings; ours
+P_BOTH, P_FINGERS, P_SEEN = 0.99, 0.97, 0.90
+# m; half of the sightings after the lift agree on the height to within that, or say nothing
 STEADY_M = 0.02
 # m: rise below which a sighted object was left, above which it came along
 LEFT_BEHIND_M, CARRIED_M = 0.05, 0.05
@@ -85,7 +88,11 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     held = (fingers or seen)[0]  # type: ignore[index]
     said = " and ".join(s[1] for s in (fingers, seen) if s is not None)
     confident = (
-        0.99 if fingers is not None and seen is not None else 0.97 if fingers is not None else 0.9
+        P_BOTH
+        if fingers is not None and seen is not None
+        else P_FINGERS
+        if fingers is not None
+        else P_SEEN
     )
     return Ended(
         "success" if held else "failure", "inferred", said, confident if held else 1 - confident

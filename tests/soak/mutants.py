@@ -54,8 +54,8 @@ MUTANTS = [
     ),
     Mutant(
         DECIDE,
-        "if draws.reproduced < TRUSTED:",
-        "if draws.reproduced < TRUSTED and p >= least:",
+        "if share < TRUSTED:",
+        "if share < TRUSTED and p >= min_probability:",
         f"{TEST_DECIDE}::test_doubts_come_in_the_order_instrument_collision_probability",
     ),
     Mutant(
@@ -170,37 +170,37 @@ MUTANTS = [
     ),
     Mutant(
         DECIDE,
-        "if draws.reproduced < TRUSTED:",
-        "if draws.reproduced < 2 * TRUSTED:",
+        "if share < TRUSTED:",
+        "if share < 2 * TRUSTED:",
         f"{TEST_DECIDE}::test_an_instrument_that_hardly_ever_fails_is_not_trusted",
     ),
     Mutant(  # 4b before 4a
         DECIDE,
-        "if draws.reproduced < TRUSTED:",
-        'if draws.reproduced < TRUSTED and best != "collision":',
+        "if share < TRUSTED:",
+        'if share < TRUSTED and best != "collision":',
         f"{TEST_DECIDE}::test_doubts_come_in_the_order_instrument_collision_probability",
     ),
     Mutant(
         DECIDE,
-        'if best == "collision" and draws.reproduced < RARELY:',
-        'if best == "collision" and draws.reproduced <= RARELY:',
+        'if best == "collision" and share < RARELY:',
+        'if best == "collision" and draws.share_reproduced <= RARELY:',
         f"{TEST_DECIDE}::test_a_collision_needs_a_failure_in_a_quarter_of_the_draws",
     ),
     Mutant(
         DECIDE,
-        'if best == "collision" and draws.reproduced < RARELY:',
-        "if draws.reproduced < RARELY:",
+        'if best == "collision" and share < RARELY:',
+        "if share < RARELY:",
         f"{TEST_DECIDE}::test_a_rare_failure_of_another_class_is_believed",
     ),
     Mutant(  # 4c before 4b
         DECIDE,
-        'if best == "collision" and draws.reproduced < RARELY:',
-        'if best == "collision" and draws.reproduced < RARELY and p >= least:',
+        'if best == "collision" and share < RARELY:',
+        'if best == "collision" and share < RARELY and p >= least:',
         f"{TEST_DECIDE}::test_doubts_come_in_the_order_instrument_collision_probability",
     ),
     Mutant(
         DECIDE,
-        "if p < least:",
+        "if p < min_probability:",
         "if p <= least:",
         f"{TEST_DECIDE}::test_a_class_must_be_as_likely_as_asked",
     ),
@@ -279,7 +279,7 @@ MUTANTS = [
     ),
     Mutant(  # 6.5 before 6.6 whatever restores success
         DECIDE,
-        "all(sizes[p] < 2 * TOLERANCE_M for p in restoring)",
+        "all(sizes[p] < SMALL * TOLERANCE_M for p in restoring)",
         "True",
         f"{TEST_BLAME}::"
         "test_a_wrong_law_does_not_hide_a_part_that_restores_and_is_twice_the_tolerance",

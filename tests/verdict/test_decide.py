@@ -196,7 +196,7 @@ def test_a_place_that_is_not_known_asks_no_instrument(physics: Replace) -> None:
     assert (class_of(decision), decision.probabilities) == ("unknown", (0.0, 0.0, 0.0, 1.0))
     assert reason(decision) == "the object's place at the close is uncertain by 25 mm"
     assert answer(decision)[1:] == (None, None)
-    assert (decision.draws.asked, decision.draws.reproduced) == ((), 0.0)
+    assert (decision.draws.asked, decision.draws.share_reproduced) == ((), 0.0)
     assert not twin.made
     assert class_of(decided(still(sd_m=0.025), "twin", 3, 0, 0.0)) == "imprecise_pose"
 
@@ -210,7 +210,7 @@ def test_an_instrument_that_hardly_ever_fails_is_not_trusted(
     """
     physics(*(GivenDraw(SHIFTED, 0.1, reproduced=k < reproduced) for k in range(30)))
     decision = decided(still(), "twin", 50, 0, 0.0)
-    assert decision.draws.reproduced == pytest.approx(reproduced / 30)
+    assert decision.draws.share_reproduced == pytest.approx(reproduced / 30)
     if known:
         assert (*answer(decision)[:2], reason(decision)) == (
             "timing",
@@ -243,7 +243,7 @@ def test_a_rare_failure_of_another_class_is_believed(physics: Replace) -> None:
     """Catches the doubt about collisions raised for all classes."""
     physics(GivenDraw(), GivenDraw(), GivenDraw(reproduced=False))
     decision = decided(still(), "twin", 3, 0, 0.0)
-    assert decision.draws.reproduced == pytest.approx(2 / 12)
+    assert decision.draws.share_reproduced == pytest.approx(2 / 12)
     assert class_of(decision) == "imprecise_pose"
 
 
@@ -300,7 +300,7 @@ def test_draws_that_agree_give_their_class(
     twin = physics(GivenDraw(given, shift_s))
     decision = decided(still(), "twin", 3, 0, 0.6)
     assert answer(decision) == (*given, shift_s)
-    assert (decision.draws.instrument, decision.draws.reproduced, reason(decision)) == (
+    assert (decision.draws.instrument, decision.draws.share_reproduced, reason(decision)) == (
         "twin",
         1.0,
         None,
@@ -575,7 +575,7 @@ def line(start: tuple[float, float, float], end: tuple[float, float, float], n: 
 def judged(scene: Scene, least: float = 0.0) -> tuple[Decision, Facts]:
     decision = decided(scene, "geometry", 3, 0, least)
     assert decision.draws.instrument == "geometry"
-    assert decision.draws.reproduced == 1.0
+    assert decision.draws.share_reproduced == 1.0
     assert len(decision.draws.asked) == 1
     return decision, decision.draws.asked[0].facts
 

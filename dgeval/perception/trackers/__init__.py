@@ -18,9 +18,15 @@ from dgeval.plugins import modules_with
 
 @cache
 def trackers() -> dict[str, ModuleType]:
-    """Modules of trackers by method."""
-    modules = modules_with("dgeval.perception.trackers", "METHOD", "dgeval.trackers")
-    return {module.METHOD: module for module in modules}
+    """Modules of trackers by method. UsageError where two have the same one."""
+    found: dict[str, ModuleType] = {}
+    folder, group = "dgeval.perception.trackers", "dgeval.trackers"
+    for module in modules_with(folder, "METHOD", group, ("TRACKER", "STAND_IN")):
+        if module.METHOD in found:
+            where = f"{found[module.METHOD].__name__} and {module.__name__}"
+            raise UsageError(f"two trackers are called {module.METHOD!r}, in {where}")
+        found[module.METHOD] = module
+    return found
 
 
 def tracker_named(method: str) -> ModuleType:
