@@ -152,12 +152,9 @@ def doubt_of(draws: Draws, best: FailureClass, p: float, min_probability: float)
     share = draws.share_reproduced
     if share < TRUSTED:  # 4a: the instrument does not know this trial
         return Unknown(
-            f"the recorded failure happens in only {share:.0%} of the draws of the "
-            f"{draws.instrument}"
+            f"the recorded failure happens in only {share:.0%} of the draws of the {draws.instrument}"
         )
-    if (
-        best == "collision" and draws.share_reproduced < RARELY
-    ):  # 4b: only displaced objects are hit
+    if best == "collision" and share < RARELY:  # 4b: only displaced objects are hit
         return Unknown(
             f"the hand hits the object in the {share:.0%} of the draws that end as "
             "recorded, and in the others all is well"

@@ -32,6 +32,9 @@ SENTENCE, RULE = "dgeval/verdict/sentence.py", "dgeval/failure_rule.py"
 TEST_BLAME, TEST_DECIDE = "tests/verdict/test_blame.py", "tests/verdict/test_decide.py"
 TEST_OUTCOME, TEST_PICTURE = "tests/verdict/test_outcome.py", "tests/verdict/test_picture.py"
 TEST_SENTENCE, TEST_TABLE = "tests/verdict/test_sentence.py", "tests/verdict/test_sub_causes.py"
+CLOSES, TEST_CLOSES = "dgeval/recording/closes.py", "tests/recording/test_closes.py"
+CAMERAS, CHECKS = "dgeval/recording/cameras.py", "dgeval/recording/checks.py"
+TEST_CHECKS = "tests/recording/test_checks.py"
 TEST_RULE, TEST_LINES = "tests/test_failure_rule.py", "tests/test_failure_rule_lines.py"
 
 
@@ -183,7 +186,7 @@ MUTANTS = [
     Mutant(
         DECIDE,
         'if best == "collision" and share < RARELY:',
-        'if best == "collision" and draws.share_reproduced <= RARELY:',
+        'if best == "collision" and share <= RARELY:',
         f"{TEST_DECIDE}::test_a_collision_needs_a_failure_in_a_quarter_of_the_draws",
     ),
     Mutant(
@@ -195,7 +198,7 @@ MUTANTS = [
     Mutant(  # 4c before 4b
         DECIDE,
         'if best == "collision" and share < RARELY:',
-        'if best == "collision" and share < RARELY and p >= least:',
+        'if best == "collision" and share < RARELY and p >= min_probability:',
         f"{TEST_DECIDE}::test_doubts_come_in_the_order_instrument_collision_probability",
     ),
     Mutant(
@@ -432,8 +435,8 @@ MUTANTS = [
     # geometry alone
     Mutant(
         GEOMETRIC,
-        "real[k] = free[k] + (held",
-        "real[k] = free[k] - (held",
+        "real[k] = free[k] + (off_path",
+        "real[k] = free[k] - (off_path",
         f"{TEST_DECIDE}::test_geometry_a_pushed_object_that_the_hand_would_have_missed_anyway",
     ),
     Mutant(
@@ -536,8 +539,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/verdict/log.py",
-        "label = trial.spec.label or next(",
-        "label = next(",
+        "label = trial.spec.label or trial.events.label()",
+        "label = trial.events.label()",
         f"{TEST_OUTCOME}::test_the_manifests_label_goes_before_the_logs",
     ),
     Mutant(
@@ -635,6 +638,84 @@ MUTANTS = [
         "self._periods > GIVEN_UP and ",
         "",
         f"{TEST_LIFT}::test_what_is_left_behind_is_given_up_early",
+    ),
+    Mutant(
+        CLOSES,
+        "        if lift is not None and lift - start >= BEFORE_LIFT_NS:\n            period",
+        "        if lift is not None and lift - end >= BEFORE_LIFT_NS:\n            period",
+        f"{TEST_CLOSES}::test_a_lift_right_behind_a_slow_close",
+    ),
+    Mutant(
+        CLOSES,
+        "for k in reversed(range(len(motions))):",
+        "for k in range(len(motions)):",
+        f"{TEST_CLOSES}::test_the_last_of_two_attempts_counts",
+    ),
+    Mutant(
+        CLOSES,
+        "if begin - rest_ns > AFTER_S * 1e9 or heights",
+        "if heights",
+        f"{TEST_CLOSES}::test_a_lift_long_after_is_not_of_this_close",
+    ),
+    Mutant(
+        CLOSES,
+        "while k and start - motions[k - 1][1] < RESTING_NS:",
+        "while False and start - motions[k - 1][1] < RESTING_NS:",
+        f"{TEST_CLOSES}::test_fingers_that_pause_at_the_object_close_once",
+    ),
+    Mutant(
+        CAMERAS,
+        "            stereo,\n            not aligned,\n",
+        "            not aligned,\n            stereo,\n",
+        f"{TEST_CHECKS}::test_colour_that_can_be_aligned_goes_before_aligned_infrared",
+    ),
+    Mutant(
+        CAMERAS,
+        "(not one_frame, not same_size, -shared, name)",
+        "(not one_frame, -shared, not same_size, name)",
+        f"{TEST_CHECKS}::test_intrinsics_of_the_pictures_size_go_before_those_of_a_nearer_name",
+    ),
+    Mutant(
+        CAMERAS,
+        "(near and model.frame_id not in _frames(heads))",
+        "near",
+        f"{TEST_CHECKS}::test_intrinsics_of_another_picture_are_not_taken_for_their_name",
+    ),
+    Mutant(
+        CHECKS,
+        "known < LEAST_POSES * len(times)",
+        "known < 0.1 * LEAST_POSES * len(times)",
+        f"{TEST_CHECKS}::test_poses_in_fewer_than_half_of_the_frames_fail",
+    ),
+    Mutant(
+        CHECKS,
+        'side = "behind" if apart > 0',
+        'side = "behind" if apart < 0',
+        f"{TEST_CHECKS}::test_the_mend_of_a_clock_mends_it",
+    ),
+    Mutant(
+        CHECKS,
+        "faults.dropped > MOST_DROPPED * count",
+        "faults.dropped > 9 * MOST_DROPPED * count",
+        f"{TEST_CHECKS}::test_stamps_that_cost_a_tenth_of_a_stream_fail",
+    ),
+    Mutant(
+        CHECKS,
+        "max(robots.items(), key=lambda",
+        "min(robots.items(), key=lambda",
+        f"{TEST_CHECKS}::test_the_robots_topic_that_is_farthest_off_counts",
+    ),
+    Mutant(
+        "dgeval/recording/alignment.py",
+        "or middle < out[row, column]",
+        "or middle > out[row, column]",
+        f"{TEST_CHECKS}::test_what_is_nearer_hides_what_is_behind_it",
+    ),
+    Mutant(
+        "dgeval/recording/clocks.py",
+        "np.where(zero, log_ns, header_ns) + offset_ns",
+        "np.where(zero, log_ns, header_ns + offset_ns)",
+        f"{TEST_CHECKS}::test_a_zero_stamp_gets_the_offset_too",
     ),
 ]
 

@@ -1,0 +1,135 @@
+"""Catches: the wrong one of several motions of the fingers taken for the close, or its wrong end.
+
+`closes._inferred` on widths and heights made of numbers; a 5 s log, looked at every 10 ms.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from dgeval.recording import closes
+from dgeval.recording.closes import NoClose, close_of
+from dgeval.recording.events import Events
+from dgeval.recording.messages import Event
+
+S = 1_000_000_000
+LENGTH_S = 5.0
+
+
+def robot(monkeypatch: pytest.MonkeyPatch, width: list[Any], height: list[Any]) -> Any:
+    """A robot whose fingers and palm follow (time s, m) points, linear between them."""
+    times = np.arange(0, int(LENGTH_S * S) + 1, closes.STEP_NS)
+    apart = np.interp(times * 1e-9, *zip(*width, strict=True))
+    monkeypatch.setattr(closes, "_finger_ends", lambda _: ("a", "b"))
+    monkeypatch.setattr(closes, "_width", lambda *_: (times, apart))
+
+    def T_base_palm(t_ns: int) -> np.ndarray:
+        T = np.eye(4)
+        T[2, 3] = np.interp(t_ns * 1e-9, *zip(*height, strict=True))
+        return T
+
+    return SimpleNamespace(T_base_palm=T_base_palm, description=None)
+
+
+def found(made: Any) -> tuple[float, float] | str:
+    """Close and lift, s, or why there is none."""
+    told = closes._inferred(made, 0, int(LENGTH_S * S))
+    return told.why if isinstance(told, NoClose) else (told[0] / S, told[1] / S)
+
+
+def near(told: tuple[float, float] | str, close_s: float, lift_s: float) -> bool:
+    return not isinstance(told, str) and bool(np.allclose(told, (close_s, lift_s), atol=0.06))
+
+
+OPEN, SHUT, LOW, HIGH = 0.10, 0.04, 0.1, 0.3
+
+
+def test_a_close_and_a_lift(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (2, OPEN), (2.5, SHUT), (5, SHUT)],
+        [(0, LOW), (3, LOW), (3.8, HIGH), (5, HIGH)],
+    )
+    assert near(found(made), 2.0, 3.0)
+
+
+def test_a_lift_right_behind_a_slow_close(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails where the time to the lift is taken from the fingers' rest and not from their start."""
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (2, OPEN), (3, SHUT), (5, SHUT)],
+        [(0, LOW), (3.05, LOW), (3.8, HIGH), (5, HIGH)],
+    )
+    assert near(found(made), 2.0, 3.05)
+
+
+def test_the_last_of_two_attempts_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (0.5, OPEN), (0.8, SHUT), (2, SHUT), (2.3, OPEN), (3, OPEN), (3.3, SHUT),
+         (5, SHUT)],
+        [(0, LOW), (1.0, LOW), (1.5, HIGH), (2.2, HIGH), (2.8, LOW), (3.6, LOW), (4.2, HIGH),
+         (5, HIGH)],
+    )  # fmt: skip
+    assert near(found(made), 3.0, 3.6)
+
+
+def test_a_lift_long_after_is_not_of_this_close(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (1, OPEN), (1.3, SHUT), (5, SHUT)],
+        [(0, LOW), (2.7, LOW), (3.1, HIGH), (5, HIGH)],
+    )
+    assert "does not rise" in str(found(made))
+
+
+def test_a_slow_rise_is_no_lift(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (1, OPEN), (1.3, SHUT), (5, SHUT)],
+        [(0, LOW), (1.5, LOW), (5, LOW + 0.09)],
+    )
+    assert "does not rise" in str(found(made))
+
+
+def test_fingers_that_pause_at_the_object_close_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails where the second half of a close, after a pause of 0.2 s, is taken for the close."""
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (2, OPEN), (2.3, 0.07), (2.5, 0.07), (2.8, SHUT), (5, SHUT)],
+        [(0, LOW), (3.1, LOW), (3.7, HIGH), (5, HIGH)],
+    )
+    assert near(found(made), 2.0, 3.1)
+
+
+def test_fingers_that_slip_as_the_palm_rises_do_not_close(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (1, OPEN), (1.3, 0.06), (2.0, 0.06), (2.2, SHUT), (5, SHUT)],
+        [(0, LOW), (1.95, LOW), (2.5, HIGH), (5, HIGH)],
+    )
+    assert near(found(made), 1.0, 1.95)
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_a_hand_that_stays_open(monkeypatch: pytest.MonkeyPatch, ended: bool) -> None:
+    """With the robot's own end of the trial that is a fact; without it nothing says so."""
+    made = robot(monkeypatch, [(0, OPEN), (5, OPEN)], [(0, LOW), (5, LOW)])
+    entries = (Event(4 * S, "trial_end", {}),) if ended else ()
+    known = close_of(Events(entries), made, 0, 5 * S)
+    assert (known.source, known.missing is None) == (None, ended)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_fingers_known_half_the_time_are_not_known(
+    monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    """Fails where fingers that nobody saw in the other half are said never to have closed."""
+    made = robot(monkeypatch, [(0, OPEN), (5, OPEN)], [(0, LOW), (5, LOW)])
+    times = np.arange(0, int(LENGTH_S * S * share) + 1, closes.STEP_NS)
+    monkeypatch.setattr(closes, "_width", lambda *_: (times, np.full(len(times), OPEN)))
+    known = close_of(Events((Event(4 * S, "trial_end", {}),)), made, 0, 5 * S)
+    assert (known.missing is None) == (share == 1.0)
