@@ -20,6 +20,7 @@ from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import Trial
 from dgeval.replay import causal
 from dgeval.replay.causal import Step
+from dgeval.replay.target_search import search_target
 from dgeval.runs.results import Run, read_run
 from dgeval.verdict.judge import Judgement, judge
 from dgeval.verdict.log import log_of
@@ -51,7 +52,8 @@ def replay_trial(trial: Trial, perception: Perception | None = None) -> Iterator
     OpenCV and torch for this process, so that the rows are those of `dgeval replay`.
     """
     limit_threads()
-    return causal.replay(trial, trial.config, perception)
+    target = search_target(trial, trial.config) if trial.spec.bbox is None else None
+    return causal.replay(trial, trial.config, perception, target)
 
 
 def look_back(trial: Trial, steps: Iterable[Step], perception: Perception) -> Hindsight | None:

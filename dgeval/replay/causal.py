@@ -29,6 +29,7 @@ from dgeval.recording.messages import StampedPose
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.trials import Trial
 from dgeval.replay.row import row_of
+from dgeval.replay.target_search import FoundTarget
 from dgeval.robots.hand import hand_named
 
 if TYPE_CHECKING:
@@ -99,11 +100,17 @@ class Step:
         return row_of(self)
 
 
-def replay(trial: Trial, config: Config, perception: Perception | None = None) -> Iterator[Step]:
+def replay(
+    trial: Trial,
+    config: Config,
+    perception: Perception | None = None,
+    target: FoundTarget | None = None,
+) -> Iterator[Step]:
     """The frames of a trial in order, each with the results of its stages.
 
     Without a camera pose in the log, base quantities are in the camera frame. perception: a new
-    one; the second pass uses its state after the last frame.
+    one; the second pass uses its state after the last frame. target: as `search_target` found it;
+    without it and a box the target is looked for in the first frames.
     """
     perception = perception or Perception(config)
     servo = Servo(config.servo, trial.robot.hand or hand_named(DEFAULT_HAND))
@@ -114,6 +121,9 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
     palm_at_close = _palm_at(trial.robot, trial.event_ns(CLOSE_EVENT))
     moving_base = trial.robot.base_frame is not None
     given_box, given_box_ns = trial.spec.bbox, trial.spec.bbox_time_ns
+    if given_box is None and target is not None:
+        given_box, given_box_ns = target.box, target.t_ns
+    searches = given_box is None
     frames = trial.frames()
     while True:
         clock = _Clock()
@@ -126,7 +136,7 @@ def replay(trial: Trial, config: Config, perception: Perception | None = None) -
         if given_box is not None and (given_box_ns is None or frame.t_ns >= given_box_ns):
             box, given_box = given_box, None
         elif (
-            trial.spec.bbox is None
+            searches
             and not perception.fusion.model
             and perception.T_camera_model is None
             and frame.index < MAX_SEARCHED

@@ -30,6 +30,7 @@ from dgeval.recording.trials import Trial, open_trial
 from dgeval.replay.causal import Step, replay
 from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
 from dgeval.replay.row import pose_columns
+from dgeval.replay.target_search import FoundTarget, search_target
 from dgeval.runs.files import TableFile, file_name, write_atomically, write_ply, write_table
 from dgeval.runs.folder import TrialResult
 from dgeval.schema import (
@@ -137,6 +138,8 @@ def _replay_trial(
     model = None
     last_ns = trial.pairs[-1][0]
     close_ns = trial.event_ns(CLOSE_EVENT)
+    target = search_target(trial, config) if spec.bbox is None else None
+    target_drawn = spec.bbox is not None
     perception = Perception(config)
     observed: list[CausalFrame] = []
     surface = Surface()
@@ -148,7 +151,7 @@ def _replay_trial(
         TableFile(frames_path, (*FRAMES, *FRAMES_ADDED)) as frames_table,
         TableFile(timings_path, TIMINGS) as timings_table,
     ):
-        for step in replay(trial, config, perception):
+        for step in replay(trial, config, perception, target):
             digests.add(step.row)
             frames_table.add(step.row)
             for stage, seconds in step.seconds.items():
@@ -161,6 +164,9 @@ def _replay_trial(
                     }
                 )
             counts = counts.with_frame(step)
+            if not target_drawn and step.tracked.box is not None:
+                target_drawn = True
+                write_target(out / "pictures" / f"{name}-target.png", step)
             if t_execute_ns is None and step.execute:
                 t_execute_ns = step.frame.t_ns
             model = step.model if step.model is not None else model
@@ -201,7 +207,9 @@ def _replay_trial(
     if model is not None:
         write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
-    row, exit_code, messages = trial_row(trial, config, counts, t_execute_ns, last_ns, judgement)
+    row, exit_code, messages = trial_row(
+        trial, config, counts, t_execute_ns, last_ns, judgement, target
+    )
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
     write_atomically(
         mark,
@@ -220,11 +228,12 @@ def trial_row(
     t_execute_ns: int | None,
     last_ns: int,
     judgement: Judgement,
+    target: FoundTarget | None = None,
 ) -> tuple[dict[str, Any], int, list[str]]:
     """The trial's row without its digests, the exit code, and messages for the user.
 
     t_execute_ns: time of the first frame in which the replay would have closed. last_ns: time of
-    the last frame.
+    the last frame. target: as it was found, where no box was given.
     """
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
@@ -264,6 +273,7 @@ def trial_row(
         "notes": "; ".join(
             [
                 *trial_notes(trial, config, counts),
+                *target_note(trial, target),
                 *map(str, measured_check(counts)),
                 *judgement.notes,
             ]
@@ -271,6 +281,30 @@ def trial_row(
         **asdict(judgement.row),
     }
     return row, exit_code, messages
+
+
+def target_note(trial: Trial, target: FoundTarget | None) -> list[str]:
+    """How the target was chosen where nobody gave a box, and where it can be looked at."""
+    if trial.spec.bbox is not None:
+        return []
+    picture = f"pictures/{file_name(trial.spec.id)}-target.png"
+    if target is None:
+        how = "the thing nearest to the palm or the largest, in the first frames"
+    else:
+        others = f"; {target.n_others} more can be followed" if target.n_others else ""
+        how = f"what comes within {target.apart_m * 1000:.0f} mm of the grasp{others}"
+    return [f"target: no box is given; taken is {how} ({picture}); another: --bbox x0,y0,x1,y1"]
+
+
+def write_target(path: Path, step: Step) -> None:
+    """The picture in which the target was first tracked, with its box."""
+    assert step.tracked.box is not None
+    x0, y0, x1, y1 = (round(float(v)) for v in step.tracked.box)
+    drawn = np.ascontiguousarray(step.frame.colour[:, :, ::-1])
+    cv2.rectangle(drawn, (x0, y0), (x1, y1), (0, 0, 0), 4)
+    cv2.rectangle(drawn, (x0, y0), (x1, y1), (0, 200, 255), 2)
+    path.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(path), drawn)
 
 
 def measured_check(counts: FrameCounts) -> list[Check]:

@@ -152,7 +152,8 @@ def doubt_of(draws: Draws, best: FailureClass, p: float, min_probability: float)
     share = draws.share_reproduced
     if share < TRUSTED:  # 4a: the instrument does not know this trial
         return Unknown(
-            f"the recorded failure happens in only {share:.0%} of the draws of the {draws.instrument}"
+            f"the recorded failure happens in only {share:.0%} of the draws of "
+            f"the {draws.instrument}"
         )
     if best == "collision" and share < RARELY:  # 4b: only displaced objects are hit
         return Unknown(
