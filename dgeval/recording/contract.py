@@ -66,7 +66,11 @@ TRUTH_VERDICT_TOPIC: Final = "/truth/verdict"
 """std_msgs/String, JSON: outcome, class of failure, sub-cause and blame."""
 
 DEPTH_UNIT: Final = "/option/Depth_Units/value"
-"""End of a topic's name, Float32: m per unit of depth, as librealsense's recorder states it."""
+"""End of a topic's name, Float32 or text: m per unit of depth, as librealsense's recorder says."""
+
+IMAGE_METADATA: Final = "/image/metadata"
+"""End of a topic's name, text `key=value;…`: librealsense's facts of the image logged at that time.
+From SDK 2.58 on the image's own stamp is when it arrived, and its time stands here, in ms."""
 
 EventKind = Literal["trial_start", "close", "lift", "trial_end", "label"]
 """What an entry of EVENTS_TOPIC may say. Other kinds are kept and shown, and mean nothing."""

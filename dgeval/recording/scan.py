@@ -6,6 +6,7 @@ per message and no image, so memory does not grow with the size of images.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,13 @@ from dgeval.errors import Damage, Place, UndecodableError
 from dgeval.geometry import Array
 from dgeval.recording.clocks import RecorderClock, recorder_clock
 from dgeval.recording.containers.container import Opened, RawMessage
-from dgeval.recording.contract import DEPTH_UNIT, EVENTS_TOPIC, ROBOT_DESCRIPTION, SCORE_TOPIC
+from dgeval.recording.contract import (
+    DEPTH_UNIT,
+    EVENTS_TOPIC,
+    IMAGE_METADATA,
+    ROBOT_DESCRIPTION,
+    SCORE_TOPIC,
+)
 from dgeval.recording.grippers import is_gripper_topic, number_of
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import (
@@ -50,6 +57,7 @@ NOT_USABLE = (
     OverflowError,
     struct.error,
 )
+FRAME_TIME = re.compile(r"(?:^|;)timestamp=([0-9.]+)")  # ms, in librealsense's metadata
 STAMPED = (
     IMAGE_TYPES
     | POSE_TYPES
@@ -140,6 +148,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
     wanted_events = events_topic or EVENTS_TOPIC
     seen_camera: dict[str, bytes] = {}
     videos: dict[str, VideoDecoder] = {}
+    frame_times: dict[str, dict[int, int]] = defaultdict(dict)
     for message in opened.messages():
         topic = opened.topics[message.topic]
         times = out.times[message.topic]
@@ -183,14 +192,19 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 sample = joints_of(opened.decode(message))
                 times.header_ns.append(sample.t_ns)
                 out.joints[message.topic].append(sample)
+            elif message.topic.endswith(DEPTH_UNIT):
+                out.depth_units[message.topic] = round(float(opened.decode(message).data), 9)
+            elif topic.type == "std_msgs/msg/String" and message.topic.endswith(IMAGE_METADATA):
+                found = FRAME_TIME.search(opened.decode(message).data)
+                if found is not None:
+                    stream = message.topic.removesuffix("metadata")
+                    frame_times[stream][message.log_ns] = round(float(found[1]) * 1e6)
             elif topic.type == "std_msgs/msg/String":
                 text = opened.decode(message).data
                 if message.topic == wanted_events:
                     out.events.append(event_of(text, message.log_ns))
                 elif message.topic.endswith(ROBOT_DESCRIPTION[1:]):
                     out.descriptions[message.topic] = text
-            elif message.topic.endswith(DEPTH_UNIT):
-                out.depth_units[message.topic] = round(float(opened.decode(message).data), 9)
             elif is_gripper_topic(message.topic, topic.type):
                 gripper = opened.decode(message)
                 number = number_of(gripper)
@@ -205,6 +219,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 times.header_ns.append(0)  # so that the stamps of the others stay theirs
             out.undecodable[message.topic] += 1
             out.first_undecodable.setdefault(message.topic, str(error))
+    _use_frame_times(out, frame_times)
     _onto_the_stamps_clock(out)
     out.events.sort(key=lambda e: e.t_ns)
     for name in sorted(out.undecodable):
@@ -214,6 +229,19 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
         )
         opened.damage.append(Damage(what, Place(str(opened.path), name)))
     return out
+
+
+def _use_frame_times(found: Scan, frame_times: dict[str, dict[int, int]]) -> None:
+    """The frames' own times, ns, for stamps that say when an image arrived at the recorder.
+
+    frame_times: by the beginning of the topics' names and by log time. Only where every image of a
+    topic has one.
+    """
+    for stream, by_log in frame_times.items():
+        for name in found.images:
+            times = found.times[name]
+            if name.startswith(stream) and all(t in by_log for t in times.log_ns):
+                times.header_ns = [by_log[t] for t in times.log_ns]
 
 
 def _onto_the_stamps_clock(found: Scan) -> None:
