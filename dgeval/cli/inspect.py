@@ -13,6 +13,7 @@ EXAMPLES = """\b
 Examples:
   dgeval inspect apple.mcap
   dgeval inspect apple.mcap --json | jq .damage
+  dgeval inspect apple.mcap --config > robot.toml
 """
 
 
@@ -26,6 +27,9 @@ def inspect(
     json_: Annotated[
         bool, typer.Option("--json", help="One JSON document on standard output.")
     ] = False,
+    config_: Annotated[
+        bool, typer.Option("--config", help="Print a configuration with what was found, to edit.")
+    ] = False,
 ) -> None:
     """Topics, roles found and missing, rates, gaps, colour–depth skew, clocks, damage; what can and
     can't be answered."""
@@ -34,6 +38,11 @@ def inspect(
     from dgeval.recording.inspection import inspect_recording
 
     config = load_config(pipeline, tuple(set_ or ()))
+    if config_:
+        from dgeval.recording.found_config import found_config
+
+        typer.echo(found_config(path, config), nl=False)
+        return
     inspection = inspect_recording(path, config)
     failed = [c for c in inspection["checks"] if c["name"] not in config.checks.accept]
     code = EXIT_DATA_LOST if inspection["damage"] or failed else EXIT_OK

@@ -7,10 +7,13 @@ import json
 from pathlib import Path
 
 import pytest
+from dgeval.config import Config, load_config
 from dgeval.recording.clocks import recorder_clock
 from dgeval.recording.contract import CLOSE_EVENT, LABEL_EVENT
+from dgeval.recording.found_config import found_config
+from dgeval.recording.manifest import find_trials
 from dgeval.recording.messages import event_of
-from dgeval.recording.trials import Trial
+from dgeval.recording.trials import Trial, open_trial
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.recording.recorders import COLOUR, DEPTH, EVENTS, JOINTS, TYPES, Message, opened, write
@@ -186,3 +189,15 @@ def test_the_recorders_clock_is_followed_between_and_beyond_its_messages(
     assert abs(clock.stamp_ns(inside) - (inside - 1_700_000_000_000_000_000) / speed) < 10
     assert clock.stamp_ns(int(log[-1]) + at) == int(header[-1]) + at
     assert recorder_clock({"/camera": (header, header + 50_000_000)}) is None
+
+
+def test_the_configuration_that_was_found_changes_nothing(tmp_path: Path, demo: Path) -> None:
+    """Fails where a file made by `inspect --config` can't be read, or leads to other roles."""
+    text = found_config(demo, Config())
+    file = tmp_path / "robot.toml"
+    file.write_text(text, encoding="utf-8")
+    (spec,) = find_trials([demo])
+    a, b = open_trial(spec, Config()), open_trial(spec, load_config(str(file), ()))
+    assert a.roles == b.roles
+    assert (a.robot.base_frame, a.robot.palm_frame) == (b.robot.base_frame, b.robot.palm_frame)
+    assert a.notes == b.notes

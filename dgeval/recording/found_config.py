@@ -1,0 +1,65 @@
+"""The configuration that dgeval takes for a recording, as a file to edit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from dgeval.config import Config
+from dgeval.recording.manifest import find_trials
+from dgeval.recording.trials import open_trial
+
+
+def found_config(path: Path, config: Config) -> str:
+    """TOML for `--pipeline`: topics and frames as found, and how to mend the checks that fail.
+
+    What can't be told is a comment. UnreadableError, UsageError where `replay` would refuse.
+    """
+    trial = open_trial(find_trials([path], config.roles.events)[0], config)
+    roles, robot, camera = trial.roles, trial.robot, trial.reader.camera
+    used = {
+        "colour": roles.colour,
+        "depth": roles.depth,
+        "intrinsics": roles.intrinsics,
+        "camera_pose": roles.camera_pose,
+        "hand_pose": roles.hand_pose,
+    }
+    lines = [
+        f"# What dgeval takes for {path.name}, to edit:",
+        f"#   dgeval replay {path.name} --pipeline THIS.toml",
+        "",
+        "[roles]",
+    ]
+    for role, topic in used.items():
+        without = "from tf, or joints and description" if role.endswith("_pose") else "none found"
+        lines.append(f"{role} = {_text(topic)}" if topic else f"# {role}: {without}")
+        others = roles.passed_over.get(role)
+        if others:
+            lines.append(f"# {role} could also be: {', '.join(others)}")
+    joints = ", ".join(roles.joints)
+    lines.append(
+        f"# hand_joints: all of {joints}, by joint name" if joints else "# hand_joints: none"
+    )
+    lines += ["", "[frames]", f"camera = {_text(robot.camera_frame)}"]
+    for name, frame in (("base", robot.base_frame), ("palm", robot.palm_frame)):
+        known = frame is not None and frame in robot.tree.frames()
+        lines.append(f"{name} = {_text(frame)}" if known and frame else f"# {name}: none found")
+    k = camera.intrinsics
+    lines += [
+        "",
+        "[calibration]",
+        f"# as recorded: intrinsics = [{k.fx:g}, {k.fy:g}, {k.cx:g}, {k.cy:g}]",
+    ]
+    if camera.depth_scale is not None:
+        lines.append(f"depth_scale = {camera.depth_scale:g}  # m per unit")
+    else:
+        lines.append("# depth_scale: millimetres in whole numbers, metres in floats")
+    if trial.checks:
+        names = json.dumps(sorted({c.name for c in trial.checks}))
+        lines += ["", "[checks]", *(f"# {check}" for check in trial.checks), f"# accept = {names}"]
+    return "\n".join(lines) + "\n"
+
+
+def _text(value: str | None) -> str:
+    """A TOML string; JSON's are such."""
+    return json.dumps(value, ensure_ascii=False)
