@@ -47,6 +47,7 @@ regress: setup
 
 soak: setup
 	$(BIN)/python tests/soak/damage_campaign.py --out reports/damage.md
+	$(BIN)/python -m tests.soak.mutated_messages
 	$(BIN)/python tests/soak/mutants.py
 	$(BIN)/dgeval simulate conveyor --out runs/conveyor --jobs 2
 	$(BIN)/dgeval replay runs/conveyor/conveyor.toml --out runs/conveyor/replay --no-review --jobs 2

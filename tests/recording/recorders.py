@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -86,3 +87,31 @@ def image(like: Any, pixels: np.ndarray, encoding: str, frame: str | None = None
         step=pixels.strides[0],
         data=pixels.view(np.uint8).reshape(-1),
     )
+
+
+def rvl_words(codes: np.ndarray) -> bytes:
+    """Wilson's run-length code, written out plainly."""
+    nibbles: list[int] = []
+
+    def put(value: int) -> None:
+        while True:
+            low, value = value & 7, value >> 3
+            nibbles.append(low | (8 if value else 0))
+            if not value:
+                return
+
+    pixels, i, previous = codes.ravel().tolist(), 0, 0
+    while i < len(pixels):
+        for zeros in (True, False):
+            first = i
+            while i < len(pixels) and (pixels[i] == 0) == zeros:
+                i += 1
+            put(i - first)
+        for value in pixels[first:i]:
+            difference = value - previous
+            put((difference << 1) ^ (difference >> 31))
+            previous = value
+    nibbles += [0] * (-len(nibbles) % 8)
+    words = [sum(n << (28 - 4 * k) for k, n in enumerate(nibbles[j : j + 8]))
+             for j in range(0, len(nibbles), 8)]  # fmt: skip
+    return struct.pack(f"<{len(words)}I", *words)

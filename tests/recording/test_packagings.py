@@ -36,37 +36,9 @@ from tests.recording.recorders import (
     header,
     image,
     opened,
+    rvl_words,
     write,
 )
-
-
-def rvl_words(codes: np.ndarray) -> bytes:
-    """Wilson's run-length code, written out plainly."""
-    nibbles: list[int] = []
-
-    def put(value: int) -> None:
-        while True:
-            low, value = value & 7, value >> 3
-            nibbles.append(low | (8 if value else 0))
-            if not value:
-                return
-
-    pixels, i, previous = codes.ravel().tolist(), 0, 0
-    while i < len(pixels):
-        for zeros in (True, False):
-            first = i
-            while i < len(pixels) and (pixels[i] == 0) == zeros:
-                i += 1
-            put(i - first)
-        for value in pixels[first:i]:
-            difference = value - previous
-            put((difference << 1) ^ (difference >> 31))
-            previous = value
-    nibbles += [0] * (-len(nibbles) % 8)
-    words = [sum(n << (28 - 4 * k) for k, n in enumerate(nibbles[j : j + 8]))
-             for j in range(0, len(nibbles), 8)]  # fmt: skip
-    return struct.pack(f"<{len(words)}I", *words)
-
 
 # nothing is lost
 

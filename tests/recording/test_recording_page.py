@@ -1,4 +1,4 @@
-"""Catches: a page on recording whose examples do not run, or that names a check that is not there."""
+"""Catches: a page on recording whose examples do not run, or a check that it does not list."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -13,6 +13,7 @@ from dgeval.recording.encodings.cdr2 import deserialize
 ENCODES = ("cdr", "ros2msg")  # message encoding, schema encoding
 
 
+@lru_cache(maxsize=256)
 def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
     """The function that decodes one message's bytes into an object with the type's fields."""
     store = get_typestore(Stores.EMPTY)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_idl, get_typestore
@@ -17,6 +17,7 @@ ENCODES = ("cdr", "ros2idl")  # message encoding, schema encoding
 SEPARATOR = re.compile(r"^=+\nIDL: .*$", re.MULTILINE)
 
 
+@lru_cache(maxsize=256)
 def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
     """The function that decodes one message's bytes; standard types are known by name."""
     if type_name in cdr_named.standard_types().fielddefs:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
@@ -12,6 +13,7 @@ from google.protobuf.message_factory import GetMessageClass
 ENCODES = ("protobuf", "protobuf")  # message encoding, schema encoding
 
 
+@lru_cache(maxsize=256)
 def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
     """The function that decodes one message's bytes.
 

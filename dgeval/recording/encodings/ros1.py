@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,6 +20,7 @@ IMAGE = "sensor_msgs/msg/Image"
 UNIT_BYTES = 4  # a float32 behind an image: m per unit of depth, 0 behind colour
 
 
+@lru_cache(maxsize=256)
 def decoder(type_name: str, schema: bytes) -> Callable[[bytes], Any]:
     """The function that decodes one message's bytes into an object with the type's fields."""
     store = get_typestore(Stores.EMPTY)

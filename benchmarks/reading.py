@@ -1,0 +1,155 @@
+"""What reading a recording costs against the libraries alone: `python -m benchmarks.reading FILE…`.
+
+Bare: one pass of mcap's own reader, each message deserialised by rosbags, each picture decoded by
+OpenCV. dgeval: opening the trial (roles, clocks, transforms, checks) and all its frames. The two
+alternate; the ratio of the medians counts. Memory: the peak over a recording and over the same one
+repeated twenty times.
+
+    python -m benchmarks.reading datasets/demo.mcap
+    python -m benchmarks.reading --memory datasets/demo.mcap
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from dgeval.config import Config
+from dgeval.determinism import limit_threads
+from dgeval.recording.containers.opening import open_container
+from dgeval.recording.manifest import find_trials
+from dgeval.recording.scan import scan
+from dgeval.recording.trials import Trial, open_trial
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+PNG = b"\x89PNG"
+
+
+def bare(path: Path) -> int:
+    """Pictures decoded."""
+    count = 0
+    with path.open("rb") as stream:
+        for schema, _, message in make_reader(stream).iter_messages():
+            if schema is None or schema.name not in STORE.fielddefs:
+                continue
+            value = STORE.deserialize_cdr(message.data, schema.name)
+            if schema.name == "sensor_msgs/msg/CompressedImage":
+                data = np.asarray(value.data, np.uint8)
+                start = max(bytes(data[:64]).find(PNG), 0)
+                count += cv2.imdecode(data[start:], cv2.IMREAD_UNCHANGED) is not None
+    return count
+
+
+def ours(path: Path) -> int:
+    """Frames."""
+    trial = open_trial(find_trials([path])[0], Config())
+    return sum(1 for _ in trial.frames())
+
+
+def passes(path: Path) -> int:
+    """The two passes over the file alone: the scan, and the frames of a trial that is open."""
+    scan(open_container(path))
+    return sum(1 for _ in trial_of(path).frames())
+
+
+@cache
+def trial_of(path: Path) -> Trial:
+    return open_trial(find_trials([path])[0], Config())
+
+
+def seconds(run: Callable[[Path], int], path: Path) -> float:
+    start = time.process_time()
+    run(path)
+    return time.process_time() - start
+
+
+def repeated(path: Path, out: Path, times: int) -> None:
+    """The recording `times` over, one after the other, its events once."""
+    with path.open("rb") as stream, out.open("wb") as written:
+        listed = list(make_reader(stream).iter_messages())
+        writer = Writer(written)
+        writer.start(profile="ros2", library="benchmark")
+        first, last = listed[0][2].log_time, listed[-1][2].log_time
+        channels: dict[str, int] = {}
+        for k in range(times):
+            shift = k * (last - first + 50_000_000)
+            for schema, channel, message in listed:
+                if schema is None or (k and channel.topic == "/dgeval/events"):
+                    continue
+                if channel.topic not in channels:
+                    made = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    channels[channel.topic] = writer.register_channel(channel.topic, "cdr", made)
+                data = bytearray(message.data)
+                if schema.name.endswith(("Image", "CameraInfo", "JointState", "PoseStamped")):
+                    t = int.from_bytes(data[4:8], "little") * 10**9
+                    t += int.from_bytes(data[8:12], "little") + shift
+                    data[4:8] = (t // 10**9).to_bytes(4, "little")
+                    data[8:12] = (t % 10**9).to_bytes(4, "little")
+                writer.add_message(
+                    channels[channel.topic], message.log_time + shift, bytes(data),
+                    message.log_time + shift,
+                )  # fmt: skip
+        writer.finish()
+
+
+def peak_mb(path: Path) -> float:
+    """Peak memory of a fresh process that reads the whole file, MB."""
+    code = (
+        "import resource,sys; from pathlib import Path; from benchmarks.reading import ours_whole; "
+        "ours_whole(Path(sys.argv[1])); "
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True
+    )
+    return float(done.stdout)
+
+
+def ours_whole(path: Path) -> int:
+    """Frames of the whole file, whatever its events cut out."""
+    spec = find_trials([path])[0]
+    trial = open_trial(replace(spec, start_ns=None, end_ns=None), Config())
+    return sum(1 for _ in trial.frames())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--memory", action="store_true")
+    args = parser.parse_args()
+    limit_threads()
+    for path in args.files:
+        if args.memory:
+            with tempfile.TemporaryDirectory() as folder:
+                long = Path(folder) / "long.mcap"
+                repeated(path, long, 20)
+                print(
+                    f"{path.name}: {peak_mb(path):.0f} MB, 20 times as long {peak_mb(long):.0f} MB"
+                )
+            continue
+        ours(path)
+        passes(path)
+        rounds = [[seconds(run, path) for run in (bare, passes, ours)] for _ in range(args.rounds)]
+        b, p, o = (statistics.median(r[k] for r in rounds) for k in range(3))
+        print(
+            f"{path.name}: CPU time bare {b:.3f} s; both passes {p:.3f} s, ratio {p / b:.2f}; "
+            f"opening with all checks, and frames {o:.3f} s, ratio {o / b:.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
