@@ -26,6 +26,8 @@ from dgeval.planning.vfas.loop import evaluator_of, seed_from_cloud, seed_from_c
 from dgeval.planning.vfas.selection import GraspJudge
 from dgeval.robots.parallel_jaw import OPENING
 
+pytestmark = pytest.mark.slow
+
 N = 2100
 
 

@@ -206,6 +206,7 @@ def test_finished_trials_are_kept_and_interrupted_ones_done_again(
     assert not list(out.rglob("*.part"))
 
 
+@pytest.mark.slow
 def test_json_is_the_only_thing_on_standard_output(dgeval: Run, demo: Path, tmp_path: Path) -> None:
     """Catches progress or messages that a program that reads the JSON stumbles over."""
     done = dgeval(
@@ -240,6 +241,7 @@ def test_wrong_calls_end_with_2_and_a_sentence(
     assert len(done.stderr.strip()) > 20
 
 
+@pytest.mark.slow
 def test_a_box_in_a_later_frame_starts_there(demo: Path, dgeval: Run, tmp_path: Path) -> None:
     """Catches a box used in the first frame in spite of its time."""
     from dgeval.config import load_config

@@ -119,6 +119,7 @@ def test_close_too_late_after_drifting_off_is_timing_not_collision(campaign: Cam
     assert proved.facts.displacement_m > 0.02
 
 
+@pytest.mark.slow
 def test_offset_that_no_close_time_can_save_is_imprecise(campaign: Campaign) -> None:
     """Catches an offset palm that is blamed on the close time, and a pose error of another size."""
     proved = truth(campaign, plan("rubiks_cube", Faults(grasp_offset=(0, 0.03, 0, 0, 0, 0))))
@@ -382,6 +383,7 @@ def test_smoke_is_replayed_near_the_truth(smoke_run: Path) -> None:
     assert followed >= 4
 
 
+@pytest.mark.slow
 def test_stand_ins_are_named_in_the_trial_row(smoke_run: Path) -> None:
     for notes in pd.read_parquet(smoke_run / "trials.parquet")["notes"]:
         assert "stand in for FFHNet" in notes
