@@ -98,6 +98,17 @@ def window_of(pairing: Pairing, spec: TrialSpec, damage: list[Damage]) -> Window
         pairs = tuple(p for p in pairs if start <= p.t_ns <= end)
     if not pairs:
         what = f"no colour and depth images pair up between {start} and {end} ns"
+        if len(colour_ns) and len(depth_ns):
+            after = np.clip(np.searchsorted(depth_ns, colour_ns), 0, len(depth_ns) - 1)
+            near = [
+                np.abs(depth_ns[k] - colour_ns).min() for k in (after, np.maximum(after - 1, 0))
+            ]
+            apart = min(near) * 1e-6
+            what += (
+                f": {len(colour_ns)} colour and {len(depth_ns)} depth images, the nearest "
+                f"{apart:.1f} ms apart, where {pairing.tolerance_ns * 1e-6:.1f} ms are allowed "
+                "(sync.tolerance_s)"
+            )
         if damage:
             what += f" (damage: {damage[0].what})"
         raise UnreadableError(what, place, "see `dgeval inspect` for their stamps")
