@@ -107,7 +107,14 @@ def close_of(
     if isinstance(found, NoClose):
         if found.fingers_seen and events.first_ns(TRIAL_END_EVENT) is not None:
             # the robot writes its events, none is a close, and its fingers agree
-            return CloseKnown(events, None, None)
+            note = ""
+            if found.motion_ns is not None:
+                at = (found.motion_ns - first_ns) * 1e-9
+                note = (
+                    f"fingers close at {at:+.2f} s and the palm does not rise after it: taken for "
+                    f"pre-shaping, since the trial's end is marked and no close; if it is one: {MENDS}"
+                )
+            return CloseKnown(events, None, None, note)
         return CloseKnown(events, None, f"no moment of closing is marked{found.why}; {MENDS}")
     close_ns, lift_at, period_s = found
     events = _with(events, CLOSE_EVENT, close_ns)
@@ -159,10 +166,13 @@ def _with(events: Events, kind: str, t_ns: int) -> Events:
 
 @dataclass(frozen=True)
 class NoClose:
-    """Why the fingers show no close; whether they were seen throughout."""
+    """Why the fingers show no close; whether they were seen throughout; when a motion begins that
+    no lift follows, ns.
+    """
 
     why: str
     fingers_seen: bool
+    motion_ns: int | None = None
 
 
 def _inferred(robot: RobotStates, first_ns: int, last_ns: int) -> tuple[int, int, float] | NoClose:
@@ -193,7 +203,8 @@ def _inferred(robot: RobotStates, first_ns: int, last_ns: int) -> tuple[int, int
             period = float(np.median(np.diff(times))) * 1e-9
             return start, lift, period
     at = (motions[-1][0] - first_ns) * 1e-9
-    return NoClose(f"; fingers close at {at:+.2f} s, but the palm does not rise after it", seen)
+    why = f"; fingers close at {at:+.2f} s, but the palm does not rise after it"
+    return NoClose(why, seen, motions[-1][0])
 
 
 def _finger_ends(robot: RobotStates) -> tuple[str, ...]:

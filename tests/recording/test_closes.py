@@ -133,3 +133,18 @@ def test_fingers_known_half_the_time_are_not_known(
     monkeypatch.setattr(closes, "_width", lambda *_: (times, np.full(len(times), OPEN)))
     known = close_of(Events((Event(4 * S, "trial_end", {}),)), made, 0, 5 * S)
     assert (known.missing is None) == (share == 1.0)
+
+
+def test_a_motion_without_a_lift_is_said_where_no_close_is_marked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Fails where fingers that moved are passed over when a trial is called one without a close."""
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (2, OPEN), (2.5, SHUT), (5, SHUT)],
+        [(0, LOW), (5, LOW)],
+    )
+    known = close_of(Events((Event(4 * S, "trial_end", {}),)), made, 0, 5 * S)
+    assert (known.source, known.missing) == (None, None)
+    assert "+2.0" in known.note
+    assert "--close" in known.note
