@@ -112,7 +112,7 @@ def close_of(
                 at = (found.motion_ns - first_ns) * 1e-9
                 note = (
                     f"fingers close at {at:+.2f} s and the palm does not rise after it: taken for "
-                    f"pre-shaping, since the trial's end is marked and no close; if it is one: {MENDS}"
+                    f"pre-shaping, as the trial's end is marked and no close; if it is one: {MENDS}"
                 )
             return CloseKnown(events, None, None, note)
         return CloseKnown(events, None, f"no moment of closing is marked{found.why}; {MENDS}")
