@@ -1,7 +1,8 @@
 """Whether depth is in metres, by what a scene can be and by the camera's own motion.
 
 A camera that moves by a known way past things that stand still sees their depth change by that way.
-Depth in a wrong unit changes by ten times too much, or too little.
+Depth in units that are too large changes by too much. Depth that is too small can't be told in this
+way from things that move with the camera; only the range says it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ MOVED_M = 0.05  # m, between two frames, from which on the camera's motion tells
 MOST_MOVED_M = 0.25  # m; frames farther apart hardly show the same things
 FACTORS = np.geomspace(0.03, 30.0, 41)  # tried; neighbours differ by 19 %
 LEAST_VOTES, AGREE = 3, 1.5  # pairs that must vote, and the factor within which half must agree
-SURE = 1.8  # factor, from which on a unit is called wrong; ours
+# times, by which depth must be too large to be called wrong; something that comes towards the
+# camera as fast as the camera towards it gives 2; ours
+SURE = 2.5
 # share of the depth, by which a unit that is called wrong must fit worse: against the best, and at
 # least; ours
 WORSE, LEAST_WORSE = 3.0, 0.02
@@ -42,7 +45,8 @@ def wrong_unit(frames: Sequence[Frame]) -> tuple[str, float] | None:
         factor = 1e-3 if middle > MOST_DEPTH_M else 1e3
         return f"the middle depth of the first frames is {middle:.3g} m, which no scene has", factor
     by_motion = factor_by_motion(frames)
-    if by_motion is None or 1 / SURE <= by_motion <= SURE:
+    # a larger factor says only that what is seen moves with the camera, as the hand itself does
+    if by_motion is None or by_motion > 1 / SURE:
         return None
     what = f"the camera's motion fits depth that is {by_motion:.2g} times as large"
     return f"{what} (the middle depth is {middle:.3g} m)", by_motion

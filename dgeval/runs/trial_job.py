@@ -46,7 +46,7 @@ from dgeval.verdict.judge import Judgement, judge
 from dgeval.verdict.log import log_of
 from dgeval.verdict.picture import decisive_picture
 
-LEAST_FRAMES = 5  # of a trial, from which on the target must have been measured in one
+LEAST_FRAMES = 20  # of a trial, from which on the target must have been measured in one; ours
 MAX_RECENT = 400  # compressed images kept, of which one becomes the picture of the decisive moment
 # Makes the object that writes a trial's review recording: add(step) for each frame, at the end
 # close(path, hindsight, judgement).
@@ -245,7 +245,7 @@ def trial_row(
         messages.append(
             f"{unmatched} of {n_colour} colour images have no depth image near enough in time"
         )
-    for check in (*trial.checks, *measured_check(counts)):
+    for check in (*trial.checks, *measured_check(counts, spec.bbox is not None)):
         if check.name not in config.checks.accept:
             exit_code = EXIT_DATA_LOST
             messages.append(str(check))
@@ -274,7 +274,7 @@ def trial_row(
             [
                 *trial_notes(trial, config, counts),
                 *target_note(trial, target),
-                *map(str, measured_check(counts)),
+                *map(str, measured_check(counts, spec.bbox is not None)),
                 *judgement.notes,
             ]
         ),
@@ -307,14 +307,19 @@ def write_target(path: Path, step: Step) -> None:
     cv2.imwrite(str(path), drawn)
 
 
-def measured_check(counts: FrameCounts) -> list[Check]:
+def measured_check(counts: FrameCounts, has_box: bool) -> list[Check]:
     """Whether the target was measured in at least one frame: a registration was accepted."""
     if counts.frames < LEAST_FRAMES or counts.predicted < counts.frames - 1:
         return []
     unseen = counts.lost + counts.no_depth >= counts.frames - 1
     how = "was seen with usable depth" if unseen else "could be registered"
     what = f"the target {how} in none of {counts.frames} frames"
-    return [Check("measured", what, "give its box with --bbox x0,y0,x1,y1")]
+    mend = "give its box with --bbox x0,y0,x1,y1"
+    if has_box:
+        mend = (
+            "it has a box alone: is it nearer than the camera's least range, or the box beside it?"
+        )
+    return [Check("measured", what, mend)]
 
 
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:

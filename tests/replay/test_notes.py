@@ -73,15 +73,15 @@ def test_a_hand_whose_joints_are_missing_is_told() -> None:
 @pytest.mark.parametrize(
     ("counts", "failed"),
     [
-        (FrameCounts(frames=9, predicted=9, lost=0), True),
-        (FrameCounts(frames=9, predicted=8, lost=8), True),
-        (FrameCounts(frames=9, predicted=7, lost=7), False),
-        (FrameCounts(frames=3, predicted=3), False),
+        (FrameCounts(frames=29, predicted=29, lost=0), True),
+        (FrameCounts(frames=29, predicted=28, lost=28), True),
+        (FrameCounts(frames=29, predicted=27, lost=27), False),
+        (FrameCounts(frames=13, predicted=13), False),
     ],
 )
 def test_a_target_that_was_never_measured_fails_a_check(counts: FrameCounts, failed: bool) -> None:
     """Catches a track of nothing, on which every number of the trial would stand."""
-    assert [c.name for c in measured_check(counts)] == (["measured"] if failed else [])
+    assert [c.name for c in measured_check(counts, False)] == (["measured"] if failed else [])
 
 
 def test_ffhnet_is_named_with_its_weights() -> None:
