@@ -39,3 +39,14 @@ def test_every_package_is_described() -> None:
 def test_the_walk_is_read_in_a_minute() -> None:
     """At 230 words a minute."""
     assert len(WALK.split()) < 230
+
+
+def test_no_verdict_reads_a_truth_topic_or_imports_by_name() -> None:
+    """Catches the two ways to the truth that import-linter does not see."""
+    for package in ("verdict", "hindsight", "replay", "planning", "perception"):
+        for path in sorted((ROOT / "dgeval" / package).rglob("*.py")):
+            code = path.read_text(encoding="utf-8")
+            assert "TRUTH_" not in code, path
+            assert "/truth" not in code, path
+            assert "import_module" not in code, path
+            assert "__import__" not in code, path

@@ -314,6 +314,7 @@ def test_observations_are_put_into_the_model_frame() -> None:
 # estimation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sigma_a", "rmse_mm", "to_90", "drift_mm"),
     [(0.1, 4.5, 0.54, 2.3), (0.3, 10.5, 0.31, 5.2), (1.0, 25.9, 0.18, 13.0)],

@@ -92,6 +92,7 @@ def test_a_small_or_unknown_distortion_stays() -> None:
     assert "not removed" in note
 
 
+@pytest.mark.slow
 def test_points_of_a_warped_recording_are_the_originals(
     tmp_path: Path, messages: list[Message]
 ) -> None:

@@ -15,6 +15,8 @@ import pytest
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
+pytestmark = pytest.mark.slow
+
 
 def frames(out: Path) -> pd.DataFrame:
     """The frame table of a run of one trial."""
@@ -67,7 +69,6 @@ def test_the_second_box_is_met(mug: Path) -> None:
     assert w * h / ((x1 - x0) * (y1 - y0) + 88 * 91 - w * h) > 0.8
 
 
-@pytest.mark.slow
 def test_bag_and_mcap_of_the_same_frames_are_equal(
     real_data: Path, dgeval: Run, tmp_path: Path
 ) -> None:
@@ -94,7 +95,6 @@ def test_bag_and_mcap_of_the_same_frames_are_equal(
     assert rows[0] == rows[1]
 
 
-@pytest.mark.slow
 def test_wrist_camera_folder_and_bare_file_run(
     real_data: Path, dgeval: Run, tmp_path: Path
 ) -> None:
@@ -112,7 +112,6 @@ def test_wrist_camera_folder_and_bare_file_run(
 @pytest.mark.parametrize(
     "name", ["kuka_joint_states.bag", "tf_example.bag", "tf_example", "realsense_d435.bag"]
 )
-@pytest.mark.slow
 def test_logs_without_a_camera_are_inspected_and_refused(
     real_data: Path, dgeval: Run, tmp_path: Path, name: str
 ) -> None:
