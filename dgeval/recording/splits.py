@@ -16,7 +16,9 @@ from dgeval.recording.containers.opening import open_container
 NUMBERED = re.compile(
     r"(?P<stem>.*?)(?:(?:^|_)\d{4}(?:-\d\d){5})?_(?P<k>\d+)(?P<suffix>\.bag|\.mcap|\.db3)"
 )
-GAP_NS = 2_000_000_000  # ns, at most between two parts; ours
+# ns, at most between two parts: a split loses no message, a recorder that is started again for the
+# next trial takes longer; ours
+GAP_NS = 500_000_000
 
 Numbered = dict[tuple[Path, str, str], dict[int, Path]]  # by folder, name and suffix; by number
 

@@ -149,3 +149,14 @@ def test_a_zstd_frame_that_is_cut(tmp_path: Path, messages: list[Message]) -> No
     whole = zstandard.ZstdCompressor().compress(b"x" * 1000)
     assert unpacked(RawMessage("/a", 1, whole)).data == b"x" * 1000
     assert unpacked(RawMessage("/a", 1, whole[:-5])).data == b""
+
+
+def test_trials_recorded_right_after_one_another_stay_trials(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a campaign whose recorder is restarted for each trial becomes one recording."""
+    last = max(m[0] for m in messages) - min(m[0] for m in messages)
+    later = [[m[0] + last + 1_200_000_000, *m[1:]] for m in messages]
+    write(tmp_path / "trial_0.mcap", messages)
+    write(tmp_path / "trial_1.mcap", later)
+    assert len(find_trials([tmp_path])) == 2
