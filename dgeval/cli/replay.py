@@ -91,14 +91,14 @@ def replay(
         specs = [with_fields(specs[0], bbox=_numbers(bbox, 4, "--bbox"), bbox_time_ns=bbox_time)]
     if frames:
         specs = [with_fields(specs[0], frames=_range(frames))]
-    said = {**_moment("close", close), **_moment("lift", lift), **_label(label)}
-    if said and len(specs) != 1:
+    overrides = {**_moment("close", close), **_moment("lift", lift), **_label(label)}
+    if overrides and len(specs) != 1:
         raise UsageError(
             f"--close, --lift and --label need exactly one trial, there are {len(specs)}",
             hint="use a manifest with close_ns, lift_ns or label",
         )
-    if said:
-        specs = [with_fields(specs[0], **said)]
+    if overrides:
+        specs = [with_fields(specs[0], **overrides)]
 
     def on_result(result: TrialResult) -> None:
         for message in result.messages:

@@ -209,17 +209,17 @@ def approach_free(
     cloud: EncodedCloud,
     T_cloud_palm: Array,
     joints: Array,
-    hand: Array,
+    palm_position: Array,
     support: tuple[Array, float] | None,
     config: GraspsConfig,
 ) -> bool:
     """Whether the preshaped hand is free at PATH_STEPS places over the last `way_m` before a grasp.
 
-    T_cloud_palm (4, 4), joints (15,) rad; hand (3,) m: the palm's position, cloud's frame. The path
+    T_cloud_palm (4, 4), joints (15,) rad; palm_position (3,) m, cloud's frame. The path
     is straight, with the grasp's orientation. Ours: without this test the hand pushes tall objects
     over on its path.
     """
-    back = hand - T_cloud_palm[:3, 3]
+    back = palm_position - T_cloud_palm[:3, 3]
     length = float(np.linalg.norm(back))
     if config.way_m == 0.0 or length < 1e-6:
         return True

@@ -86,7 +86,7 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     if fingers is not None and seen is not None and fingers[0] != seen[0]:
         return Ended("unknown", None, f"{fingers[1]}, but {seen[1]}")
     held = (fingers or seen)[0]  # type: ignore[index]
-    said = " and ".join(s[1] for s in (fingers, seen) if s is not None)
+    reasons = " and ".join(s[1] for s in (fingers, seen) if s is not None)
     confident = (
         P_BOTH
         if fingers is not None and seen is not None
@@ -95,7 +95,7 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
         else P_SEEN
     )
     return Ended(
-        "success" if held else "failure", "inferred", said, confident if held else 1 - confident
+        "success" if held else "failure", "inferred", reasons, confident if held else 1 - confident
     )
 
 

@@ -22,7 +22,7 @@ from dgeval.worlds.objects import ObjectModel
 from dgeval.worlds.scene import TIMESTEP, build
 
 STEP = 6  # control periods between the close times tried; half of it around lone successes
-# beyond the rule's 10 mm by what the object's own place is uncertain
+# m, at which a free pose is looked for: the truth's 10 mm, and more where the place is uncertain
 FREE_STEPS_M = 0.003, 0.006, 0.010, 0.014
 # m from the grasp's centre to the object's, where the window of close times begins
 NEAR_CENTRE = 0.20
@@ -31,7 +31,7 @@ REACHED_M = 0.02  # m, hand to object; before that, what lies off the path is an
 # rad; a finger farther than this from where it was recorded says no more than that
 MISMATCH_MOST = 0.3
 ERROR_LEAST_M = 0.001  # of the palm; smaller ones put nothing right
-WORLD_X = 0.5  # where the object stands in the world of `physics.scene`
+WORLD_X = 0.5  # where the object stands in the world of `worlds.scene`
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Twin(HandOnHandle):
         self._present(tick)
 
     def _present(self, tick: int) -> None:
-        """The hand of who holds the object to where it has it, undisturbed."""
+        """Move the presenter's hand to its undisturbed pose."""
         if self._presenter is not None:
             pose = self.undisturbed(tick)
             self.data.mocap_pos[self._presenter], self.data.mocap_quat[self._presenter] = (
@@ -165,7 +165,7 @@ class Twin(HandOnHandle):
         mujoco.mj_forward(self.model, d)
         return [apart]
 
-    def at(self, tick: int) -> None:
+    def reset_to(self, tick: int) -> None:
         """Hand and fingers as recorded, the object undisturbed."""
         mujoco.mj_resetData(self.model, self.data)
         self._put_hand(self.hand_at(tick), *self.twist(tick))
@@ -267,7 +267,7 @@ class Twin(HandOnHandle):
             return {}
         T = beliefs.goal @ invert(self.gripper.T_hand_palm)
         T[:3, 3] += self._shift
-        self.at(end)
+        self.reset_to(end)
         self._put_hand(T, self.scene.velocity, np.zeros(3))
         mujoco.mj_forward(self.model, self.data)
         inside = self.touch().penetration > Thresholds().overlap_m
@@ -310,7 +310,7 @@ class Twin(HandOnHandle):
                 facts = replace(facts, free_pose=self._free_pose(end))
             else:
                 k = end if scene.close is not None or contact is None else contact
-                self.at(k)
+                self.reset_to(k)
                 overlap = self.touch().penetration
                 facts = replace(facts, overlap_m=overlap, put_back=self.close(k).finish())
         restored: dict[str, bool] = {}
@@ -341,13 +341,13 @@ class Twin(HandOnHandle):
             *range(max(fine, first) - STEP, first - 1, -step),
         ]
         tried: dict[int, bool] = {}
-        row = 0
+        successes_in_a_row = 0
         for k in wanted:
             if k not in states or (k == end and scene.close is not None):
                 continue
             tried[k] = self._worth(states[k]) and self._close_at(states[k], k)
-            row = row + 1 if tried[k] else 0
-            if row == 2 and (contact is None or scene.close is None or k < contact):
+            successes_in_a_row = successes_in_a_row + 1 if tried[k] else 0
+            if successes_in_a_row == 2 and (contact is None or scene.close is None or k < contact):
                 break
         for k in [
             k
@@ -371,7 +371,7 @@ class Twin(HandOnHandle):
         return bool(np.linalg.norm(off) < NEAR + 0.5 * np.linalg.norm(self.target.extent()))
 
     def _approach(self, first: int, end: int, resync: bool = True) -> Approach:
-        self.at(first)
+        self.reset_to(first)
         states: dict[int, Array] = {}
         off = np.zeros((end - first + 1, 2))
         contact, link, reached = None, None, False
@@ -422,7 +422,7 @@ class Twin(HandOnHandle):
 
     def _free_pose(self, end: int) -> bool:
         """As put back at the close, from the nearest palm position that penetrates nothing."""
-        ways = [
+        directions = [
             np.array([a, b, c], dtype=float)
             for a in (0, 1, -1)
             for b in (0, 1, -1)
@@ -431,9 +431,9 @@ class Twin(HandOnHandle):
         ]
         for move in [
             np.zeros(3),
-            *(step * w / np.linalg.norm(w) for step in FREE_STEPS_M for w in ways),
+            *(step * w / np.linalg.norm(w) for step in FREE_STEPS_M for w in directions),
         ]:
-            self.at(end)
+            self.reset_to(end)
             T = self.hand_at(end)
             T[:3, 3] += T[:3, :3] @ move
             self._put_hand(T, *self.twist(end))
