@@ -98,7 +98,7 @@ def window_of(pairing: Pairing, spec: TrialSpec, damage: list[Damage]) -> Window
         pairs = tuple(p for p in pairs if start <= p.t_ns <= end)
     if not pairs:
         what = f"no colour and depth images pair up between {start} and {end} ns"
-        if len(colour_ns) and len(depth_ns):
+        if not pairing.pairs and len(colour_ns) and len(depth_ns):
             after = np.clip(np.searchsorted(depth_ns, colour_ns), 0, len(depth_ns) - 1)
             near = [
                 np.abs(depth_ns[k] - colour_ns).min() for k in (after, np.maximum(after - 1, 0))
