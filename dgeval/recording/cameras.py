@@ -97,7 +97,8 @@ def choose_camera(
             depths.index(pair[1]),
         )
 
-    carried = {f: moving_edges(scan, f) for f in sorted(_frames(heads))}
+    parents = _parents(scan)
+    carried = {f: moving_edges(parents, f) for f in sorted(_frames(heads))}
     pairs = list(product(colours, depths))
     colour, depth = min(pairs, key=rank) if pairs else (None, None)
     colour = colour or (colours[0] if colours else None)
@@ -110,8 +111,8 @@ def choose_camera(
     return colour, depth, passed
 
 
-def moving_edges(scan: Scan, frame: str) -> int:
-    """How many joints and moving transforms are above a frame: the wrist's camera has most."""
+def _parents(scan: Scan) -> dict[str, tuple[str, bool]]:
+    """By frame, its parent and whether it moves against it: by joints and by transforms."""
     parents: dict[str, tuple[str, bool]] = {}
     for text in scan.descriptions.values():
         parents |= _joints(text)
@@ -124,6 +125,11 @@ def moving_edges(scan: Scan, frame: str) -> int:
             moves = parents.get(edge.child, ("", False))[1]
             moves = moves or bool((np.abs(edge.pose - pose) > STILL).any())
             parents[edge.child] = (edge.parent, moves)
+    return parents
+
+
+def moving_edges(parents: dict[str, tuple[str, bool]], frame: str) -> int:
+    """How many joints and moving transforms are above a frame: the wrist's camera has most."""
     count, seen = 0, {frame}
     while frame in parents:
         frame, moves = parents[frame]

@@ -22,16 +22,20 @@ from dgeval.recording.contract import (
     TRIAL_END_EVENT,
 )
 from dgeval.recording.events import Events
-from dgeval.recording.grippers import GRIPPER_WORDS, GripperTrack, is_command_topic
+from dgeval.recording.grippers import (
+    GRIPPER_WORDS,
+    MOVES_BY,
+    WITHIN_S,
+    GripperTrack,
+    is_command_topic,
+)
 from dgeval.recording.messages import Event
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.scan import Scan
 
 CloseSource = Literal["event", "manifest", "command", "joints", "width"]
 
-CLOSES_BY = 0.20  # share of the recorded range by which a closing motion narrows the hand
 LEAST_M = 0.004  # m, least range of a hand that is said to close at all; ours
-WITHIN_S = 1.5  # s, in which it does so
 STEP_NS = 10_000_000  # ns, between the times at which the hand is looked at
 STILL_NS = 100_000_000  # ns; a closing motion may pause for so long
 RESTING_NS = 250_000_000  # ns; fingers that met the object may go on within so long; ours
@@ -257,7 +261,7 @@ def _closing_motions(times: NDArray[np.int64], width: Array) -> list[tuple[int, 
     kernel = np.ones(3) / 3
     smooth = np.convolve(np.pad(width, 1, mode="edge"), kernel, mode="valid")
     rate = np.gradient(smooth, times * 1e-9)
-    closing = rate < -CLOSES_BY * span / WITHIN_S
+    closing = rate < -MOVES_BY * span / WITHIN_S
     out: list[tuple[int, int]] = []
     k = 0
     while k < len(times):
@@ -270,7 +274,7 @@ def _closing_motions(times: NDArray[np.int64], width: Array) -> list[tuple[int, 
                 end = j
             elif times[j] - times[end] > STILL_NS:
                 break
-        if smooth[k] - smooth[end] >= max(CLOSES_BY * span, LEAST_M / 2):
+        if smooth[k] - smooth[end] >= max(MOVES_BY * span, LEAST_M / 2):
             out.append((_start(times, width, k, end), int(times[end])))
         k = end + 1
     return out

@@ -33,7 +33,7 @@ PATHS = (
 NUMBERS = ("std_msgs/msg/Float32", "std_msgs/msg/Float64", "std_msgs/msg/Int32")
 CHANGES_BY = 0.10  # share of its range by which a command changes, to be a new one; ours
 SINGLE = 3  # messages of a command topic, up to which each of them is a command by itself; ours
-MOVES_BY = 0.20  # share of its range that a closing motion covers, as of fingers (`closes`)
+MOVES_BY = 0.20  # share of the recorded range that a closing motion covers, also of fingers
 WITHIN_S = 1.5  # s, in which it does so
 
 

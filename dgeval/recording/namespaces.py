@@ -24,6 +24,11 @@ def holds(namespace: str, topic: str) -> bool:
     return not namespace or topic.startswith(namespace + "/")
 
 
+def home_of(colour: str | None, stated: str | None) -> str:
+    """What the robot's namespaces must hold: the stated one, else the colour topic."""
+    return f"{stated.rstrip('/')}/" if stated is not None else colour or ""
+
+
 def of_camera(
     namespaces: Iterable[str],
     contradict: Callable[[str, str], bool],
@@ -45,7 +50,7 @@ def of_camera(
     def apart(a: str, b: str) -> bool:
         return (a, b) in pairs or (b, a) in pairs
 
-    home = f"{stated.rstrip('/')}/" if stated is not None else colour or ""
+    home = home_of(colour, stated)
     kept: list[str] = []
     mixed: list[str] = []
     candidates = [ns for ns in order if holds(ns, home)]

@@ -17,7 +17,7 @@ from dgeval.errors import Place, UsageError
 from dgeval.geometry import Array, matrix_from_pose
 from dgeval.recording.contract import ROBOT_DESCRIPTION
 from dgeval.recording.messages import JointSample
-from dgeval.recording.namespaces import Series, differ, holds, namespace_of, of_camera
+from dgeval.recording.namespaces import Series, differ, holds, home_of, namespace_of, of_camera
 from dgeval.recording.roles import Roles, joint_topics, merged_joints
 from dgeval.recording.scan import Scan, Transforms
 from dgeval.recording.transforms import TransformTree
@@ -295,13 +295,12 @@ def _description_topic(
     """
     if len(scan.descriptions) <= 1:
         return next(iter(scan.descriptions), None)
-    home = config.frames.namespace
-    at = (roles.colour or "") if home is None else f"{home.rstrip('/')}/"
+    home = home_of(roles.colour, config.frames.namespace)
 
     def rank(topic: str) -> tuple[bool, int, int, str]:
         namespace = namespace_of(topic)
         recorded = sum(f'"{name}"' in scan.descriptions[topic] for name in joints.times)
-        return not (namespace and holds(namespace, at)), -recorded, -len(namespace), topic
+        return not (namespace and holds(namespace, home)), -recorded, -len(namespace), topic
 
     best = min(scan.descriptions, key=rank)
     others = ", ".join(sorted(scan.descriptions.keys() - {best}))

@@ -133,6 +133,8 @@ def joint_topics(
 
     namespace: of the robot, where the configuration names it.
     """
+    if len({namespace_of(topic) for topic in roles.joints}) < 2:
+        return roles.joints, []
     series: dict[str, dict[str, list[tuple[int, float]]]] = {}
     for topic in roles.joints:
         of_namespace = series.setdefault(namespace_of(topic), {})

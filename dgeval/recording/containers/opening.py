@@ -52,11 +52,7 @@ def stored_files(folder: Path) -> list[Path]:
     of their names.
     """
     files = [p for p in folder.iterdir() if _bare(p).suffix in STORED]
-    metadata = folder / METADATA
-    listed: list[str] = []
-    if metadata.is_file():
-        text = metadata.read_text(encoding="utf-8", errors="replace")
-        listed = [Path(name).name for name in LISTED.findall(text)]
+    listed = _listed(folder)
 
     def key(p: Path) -> tuple[int, int, str]:
         named = next((k for k, n in enumerate(listed) if n in (p.name, _bare(p).name)), len(listed))
@@ -64,6 +60,17 @@ def stored_files(folder: Path) -> list[Path]:
         return named, int(number[1]) if number else -1, p.name
 
     return sorted(files, key=key)
+
+
+def _metadata(folder: Path) -> str:
+    """The text of a ROS 2 folder's metadata.yaml; "" without."""
+    file = folder / METADATA
+    return file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
+
+
+def _listed(folder: Path) -> list[str]:
+    """Names of the files that a ROS 2 folder's metadata.yaml lists, in its order."""
+    return [Path(name).name for name in LISTED.findall(_metadata(folder))]
 
 
 def _bare(path: Path) -> Path:
@@ -80,8 +87,7 @@ def _folder(path: Path) -> Container:
         raise UnreadableError(
             "a folder without a .mcap or .db3 file is not a ROS 2 recording", Place(str(path))
         )
-    metadata = path / METADATA
-    text = metadata.read_text(encoding="utf-8", errors="replace") if metadata.is_file() else ""
+    text = _metadata(path)
     # a recorder that died leaves no metadata.yaml; rosbag2 names the parts after their folder
     own = len(files) > 1 and all(
         re.fullmatch(rf"{re.escape(path.name)}_\d+", _bare(f).stem) for f in files
@@ -99,13 +105,12 @@ def _folder(path: Path) -> Container:
 
 def missing_parts(folder: Path) -> list[str]:
     """Files that a ROS 2 folder's metadata.yaml lists, and that are not there."""
-    metadata = folder / METADATA
-    if not metadata.is_file():
-        return []
-    text = metadata.read_text(encoding="utf-8", errors="replace")
     there = {name for p in folder.iterdir() for name in (p.name, _bare(p).name)}
-    listed = sorted({Path(name).name for name in LISTED.findall(text)})
-    return [n for n in listed if n not in there and _bare(Path(n)).name not in there]
+    return [
+        n
+        for n in sorted(set(_listed(folder)))
+        if n not in there and _bare(Path(n)).name not in there
+    ]
 
 
 def _joined(path: Path, files: list[Path]) -> Container:
