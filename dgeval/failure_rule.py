@@ -1,8 +1,8 @@
 """The one rule that turns facts into outcome words, class and sub-cause of a failed grasp.
 
-The simulator's truth and the verdict's twin both use it: they find out facts, the rule says which
-fact it needs next and what follows (docs/simulation.md, "Truth rule"). A new sub-cause is one row
-of `SUB_CAUSES`.
+The simulator's truth and the verdict both use it: they find out facts, the rule says which fact it
+needs next and what follows (docs/simulation.md, "Truth rule"). A new sub-cause is one row of
+`SUB_CAUSES`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ FailureClass = Literal["imprecise_pose", "collision", "timing"]
 Tracking = Literal["tracked", "lost", "not_started"]
 Fact = Literal["put_back", "free_pose"]
 CLASSES: tuple[FailureClass, ...] = ("imprecise_pose", "collision", "timing")
+NEAR_M = 0.08  # m from hand to object, within which there was an attempt to grasp it
+KNOWN_SHARE = 0.9  # of the trial, in which the hand must be known to say what it never did
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +26,26 @@ class Unknown:
     """No answer, and why. `reason` completes "unknown: …"."""
 
     reason: str
+
+
+def outcome_without_close(
+    pose_known: float, nearest_m: float | None, moved: bool
+) -> tuple[Outcome, str]:
+    """The outcome of a trial in which the fingers are known never to have closed, and why.
+
+    pose_known: share of the trial in which the hand's pose is known. nearest_m: least distance of
+    hand and object, m, on the object's path; None where it is not known. moved: whether the hand
+    moved. Near and never closed is a failure; what is not known is no answer.
+    """
+    if pose_known < KNOWN_SHARE:
+        return "unknown", f"the hand never closed, and its pose is known in {pose_known:.0%} only"
+    if nearest_m is None and moved:
+        return "unknown", "the hand never closed, and how near it came to the target is not known"
+    if nearest_m is not None and nearest_m < NEAR_M:
+        return "failure", "the hand came to the object and never closed"
+    if nearest_m is None:
+        return "no_grasp", "the hand never moved and never closed"
+    return "no_grasp", f"the hand never closed and never came within {NEAR_M * 100:.0f} cm"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from dgeval.failure_rule import NEAR_M
 from dgeval.geometry import Array, invert, transform
 from dgeval.hindsight.smoothing import Path, Sighting
 from dgeval.hindsight.surface import CausalFrame
@@ -17,6 +18,8 @@ from dgeval.recording.robot import RobotStates
 KnownBy = Literal["path", "registration", "depth", "colour", "hand", "support"]
 
 WINDOW_BEFORE_S, WINDOW_AFTER_S = 4.0, 4.0  # s, around the close; frames that are searched again
+APPROACH_STEP_NS = 50_000_000  # ns, between the times at which hand and object are compared
+HAND_REACH_M = 0.25  # m from the palm to the farthest fingertip of any hand in use; ours
 RISEN_M = 0.05  # m; from the palm's position at the close, for the palm to have moved on
 HELD_M = 0.015  # m; from the object's typical position in the palm, for it to be in the hand
 
@@ -79,6 +82,36 @@ def nearest_link(
                 points_base[k],
             )
     return best
+
+
+def nearest_approach(
+    robot: RobotStates, first_ns: int, last_ns: int, path: Path, points: Array
+) -> float | None:
+    """Least distance, m, of the hand to the object on its path; None where it is not known.
+
+    points (n, 3) m: the object's, model frame. Where the path is known too badly to tell, the hand
+    must be clear of all of it. A hand without solids is within HAND_REACH_M of its palm.
+    """
+    step = max(1, len(points) // 100)
+    nearest, doubtful = None, False
+    for t_ns in range(first_ns, last_ns + 1, APPROACH_STEP_NS):
+        palm = robot.T_base_palm(t_ns)
+        if palm is None:
+            continue
+        placed = transform(path.at(t_ns), points[::step])
+        solid = hand_distance(robot, t_ns, placed)
+        sd = path.sd_at(t_ns)
+        if solid is not None:
+            distance = solid[0]
+        else:
+            distance = float(np.linalg.norm(placed - palm[:3, 3], axis=1).min()) - HAND_REACH_M
+        if (solid is None or sd > NEAR_M / 2) and distance < NEAR_M + 2 * sd:
+            doubtful = True
+        else:
+            nearest = distance if nearest is None else min(nearest, distance)
+    if doubtful and (nearest is None or nearest >= NEAR_M):
+        return None
+    return nearest
 
 
 def moments_of(

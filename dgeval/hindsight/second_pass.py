@@ -16,9 +16,16 @@ from typing import Literal
 import numpy as np
 
 from dgeval.config import Config, ObservationConfig, RegistrationConfig
+from dgeval.failure_rule import NEAR_M
 from dgeval.geometry import Array, invert
 from dgeval.hindsight.free_path import free_path
-from dgeval.hindsight.moments import WINDOW_AFTER_S, WINDOW_BEFORE_S, Moment, moments_of
+from dgeval.hindsight.moments import (
+    WINDOW_AFTER_S,
+    WINDOW_BEFORE_S,
+    Moment,
+    moments_of,
+    nearest_approach,
+)
 from dgeval.hindsight.smoothing import Path, Sighting
 from dgeval.hindsight.surface import CausalFrame, Surface
 from dgeval.perception.pipeline import Perception
@@ -49,8 +56,9 @@ class Hindsight:
     contact_ns, contact_link: when, up to the close, the hand was first within CONTACT_M of the
     object, and which link. pushed_ns: when sightings left the free path with the hand near.
     n_registered: sightings by an accepted registration up to the close. gap_s: from the last
-    sighting to the close; None without a close. moments: by frame, from WINDOW_BEFORE_S before the
-    close on; empty without a grasp attempt.
+    sighting to the close; None without a close. nearest_m: how near the hand came, m, without a
+    close; None with one, or where it is not known. moments: by frame, from WINDOW_BEFORE_S before
+    the close on; empty without a grasp attempt.
     """
 
     path: Path
@@ -65,6 +73,7 @@ class Hindsight:
     gap_sided: GapSided
     moments: tuple[Moment, ...]
     notes: tuple[str, ...]
+    nearest_m: float | None = None
 
 
 def look_back(
@@ -93,8 +102,11 @@ def look_back(
         perception.tracker if isinstance(perception.tracker, ModelTracker) else ModelTracker(config)
     )
     known = {s.t_ns for s in sightings}
-    # only a trial with a close or a grasp in the log has a verdict that needs more sightings
+    # only a trial with an attempt has a verdict that needs more sightings
     attempt = trial.event_ns(CLOSE_EVENT) is not None or bool(trial.scan.poses.get(GRASP_TOPIC))
+    if not attempt:
+        near = nearest_approach(trial.robot, frames[0].t_ns, frames[-1].t_ns, path, model.points)
+        attempt = near is None or near < NEAR_M
     wanted = {
         s.index: s
         for s in frames
@@ -159,6 +171,11 @@ def hindsight_from(
     )
     notes = [] if support is not None else ["hindsight: no support plane was seen"]
     gap, sided = blind_gap([s.t_ns for s in sightings], close_ns)
+    nearest = (
+        nearest_approach(robot, frames[0].t_ns, frames[-1].t_ns, path, model.points)
+        if close_ns is None
+        else None
+    )
     registered = sum(s.by == "registration" and s.t_ns <= end_ns for s in sightings)
     return Hindsight(
         path,
@@ -173,6 +190,7 @@ def hindsight_from(
         sided,
         moments,
         tuple(notes),
+        nearest,
     )
 
 

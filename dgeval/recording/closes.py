@@ -55,9 +55,9 @@ class CloseKnown:
     """What is known of a trial's close.
 
     events: with the close, and a lift where the palm shows one. source: None without a close.
-    missing: why no close is known; None where one is, or where the robot wrote its events and none
-    is a close. note: for the trial's row, "" without. fingers_ns: when the fingers are seen to
-    begin to close; None where that is not seen.
+    missing: why no close is known; None where one is, or where the hand is known not to have
+    closed. note: for the trial's row, "" without. fingers_ns: when the fingers are seen to begin to
+    close; None where that is not seen.
     """
 
     events: Events
@@ -109,8 +109,12 @@ def close_of(
         source: CloseSource = "command" if track.is_command else "width"
         return CloseKnown(events, source, None, note, fingers_ns)
     if isinstance(found, NoClose):
-        if found.fingers_seen and events.first_ns(TRIAL_END_EVENT) is not None:
-            # the robot writes its events, none is a close, and its fingers agree
+        ended = events.first_ns(TRIAL_END_EVENT) is not None
+        still = found.motion_ns is None and not any(
+            first_ns <= start <= last_ns for track in grippers for start, _ in track.changes()
+        )
+        if found.fingers_seen and (ended or still):
+            # the fingers never closed, or the robot writes its events and none is a close
             note = ""
             if found.motion_ns is not None:
                 at = (found.motion_ns - first_ns) * 1e-9

@@ -12,6 +12,7 @@ import numpy as np
 
 from dgeval.config import SelectionConfig
 from dgeval.determinism import generator
+from dgeval.failure_rule import NEAR_M
 from dgeval.geometry import Array, increment, invert
 from dgeval.perception.estimation import VelocityFilter
 from dgeval.planning.execution import execute
@@ -23,7 +24,7 @@ from dgeval.simulation.perception import Perceiver
 from dgeval.simulation.proposals import GraspSource, Proposals
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import FINISH_S, Finish, Snapshot, World, home
-from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
+from dgeval.worlds.closing import CONTROL_S, TRUTH_STEP
 from dgeval.worlds.hand_and_object import CloseAndLift
 
 MAX_TWIST = np.array([0.7, 0.7, 0.7, 2.0, 2.0, 2.0])  # m/s, rad/s, of the palm; ours
@@ -50,7 +51,7 @@ class Tick:
 
     preshape (15,) rad: of the chosen grasp. velocity (3,) m/s: of the object. twist (6,) m/s,
     rad/s: of the palm. contact, foreign: the hand touches the object, or anything else. distance:
-    hand to object, m, up to NEAR, in every third period of the approach.
+    hand to object, m, up to NEAR_M, in every third period of the approach.
     """
 
     snapshot: Snapshot
@@ -218,7 +219,7 @@ def run_trial(
                 fire = bool(execute(score, config.execution, nearer, T_grasp))
                 run.preshape = preshape = proposals.preshapes[chosen]
                 kept = proposals.T_object_palm[chosen], preshape
-        distance = world.hand_distance(NEAR) if tick % TRUTH_STEP == 0 else None
+        distance = world.hand_distance(NEAR_M) if tick % TRUTH_STEP == 0 else None
         run.ticks.append(
             Tick(
                 snapshot,

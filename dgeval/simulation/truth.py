@@ -12,6 +12,7 @@ import numpy as np
 
 from dgeval.failure_rule import (
     HANDED_OVER,
+    NEAR_M,
     Facts,
     FailureClass,
     Needs,
@@ -19,11 +20,12 @@ from dgeval.failure_rule import (
     Thresholds,
     Verdict,
     classify,
+    outcome_without_close,
 )
 from dgeval.geometry import Array, increment, rotation_angle
 from dgeval.simulation.trial import Run
 from dgeval.simulation.world import Snapshot, World, matrix_of, twin_path
-from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, NEAR, TRUTH_STEP
+from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, TRUTH_STEP
 from dgeval.worlds.hand_and_object import CloseAndLift
 
 COARSE = 3  # times the tick, between close times far from the real one; ours
@@ -92,7 +94,9 @@ class Prover:
         tried too.
         """
         ticks = self.run.ticks
-        near = [k for k in range(self.end + 1) if (d := ticks[k].distance) is not None and d < NEAR]
+        near = [
+            k for k in range(self.end + 1) if (d := ticks[k].distance) is not None and d < NEAR_M
+        ]
         if not near:
             return ()
         coarse = COARSE * TRUTH_STEP
@@ -122,6 +126,11 @@ class Prover:
             ):
                 out.append((offset, self.closes(snapshot, tick.velocity)))
         return tuple((round(offset, 3), success) for offset, success in out)
+
+    def nearest(self) -> float:
+        """Least distance of hand and object, m, of those that the run kept; NEAR_M for more."""
+        kept = [t.distance for t in self.run.ticks if t.distance is not None]
+        return min(kept, default=NEAR_M)
 
     def _closes_at(self, k: int) -> bool:
         tick = self.run.ticks[k]
@@ -236,6 +245,10 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
         return Truth(
             "success", None, None, None, curve, None, None, foreign, t_contact, (), prover.twin
         )
+    if run.close is None and outcome_without_close(1.0, prover.nearest(), True)[0] == "no_grasp":
+        return Truth(
+            "no_grasp", None, None, None, curve, None, None, foreign, t_contact, (), prover.twin
+        )
     metres, degrees = prover.displacement()
     displaced = [k for k in range(prover.end + 1) if metres[k] > 0.001 or degrees[k] > 1.0]
     facts = Facts(
@@ -259,9 +272,8 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
         if verdict.failure_class == "imprecise_pose" and run.close is not None
         else None
     )
-    outcome: Outcome = "failure"
     return Truth(
-        outcome,
+        "failure",
         verdict.failure_class,
         verdict.sub_cause,
         verdict.shift_s,

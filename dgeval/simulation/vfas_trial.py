@@ -9,6 +9,7 @@ from importlib import resources
 import numpy as np
 
 from dgeval.determinism import generator
+from dgeval.failure_rule import NEAR_M
 from dgeval.geometry import Array, increment, matrix_from_pose, rotation_angle
 from dgeval.planning.schedule import Delayed
 from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
@@ -22,7 +23,7 @@ from dgeval.simulation.seeing import Images, camera_frame
 from dgeval.simulation.trial import REACHED, FrameBelief, Run, Tick, frame_ticks, limited
 from dgeval.simulation.vfas_plan import waiting_pose
 from dgeval.simulation.world import FINISH_S, Finish, World
-from dgeval.worlds.closing import CONTROL_S, NEAR, TRUTH_STEP
+from dgeval.worlds.closing import CONTROL_S, TRUTH_STEP
 from dgeval.worlds.hand_and_object import CloseAndLift
 from dgeval.worlds.objects import at
 
@@ -185,7 +186,7 @@ def run_vfas(
             twist = limited(proportional_twist(hand, chosen.T_base_goal, config.vfas.gain))
             if execute and advancing is None:
                 advancing = tick
-        distance = world.hand_distance(NEAR) if tick % TRUTH_STEP == 0 else None
+        distance = world.hand_distance(NEAR_M) if tick % TRUTH_STEP == 0 else None
         run.ticks.append(
             Tick(
                 snapshot,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgeval.failure_rule import Outcome, OutcomeSource
+from dgeval.failure_rule import Outcome, OutcomeSource, outcome_without_close
 from dgeval.geometry import transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
@@ -19,6 +19,8 @@ from dgeval.robots.hand import hands
 from dgeval.verdict.log import TrialLog
 
 AFTER_S = 1.0  # s after the close, from which fingers at rest tell what they hold; ours
+POSE_STEP_NS = 50_000_000  # ns, between the times at which the palm is asked for
+MOVED_M = 0.01  # m, by which a hand that stood still seems to move at most; ours
 LAST_S = 0.5  # s of the log, over which efforts are judged; ours
 # m, object's middle to hand: within a large hand's fingers, and out of their reach; ours
 IN_HAND_M, AWAY_M = 0.04, 0.10
@@ -43,9 +45,8 @@ class Ended:
 def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     """The outcome of a trial, by the first of these that tells.
 
-    A label; no close: no grasp; a log that ends with the close: unknown; then fingers and
-    sightings. A trial in which a robot's own grasp attempt ran out without a close is a failure:
-    the beliefs that it recorded about a grasp say that there was an attempt.
+    A label; no close: how near the hand came; a log that ends with the close: unknown; then fingers
+    and sightings.
     """
     if log.label in ("success", "failure"):
         return Ended(
@@ -63,11 +64,7 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
             )
         if log.close_missing is not None:
             return Ended("unknown", None, log.close_missing)
-        if log.recorded.grasps and log.ended:
-            return Ended(
-                "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
-            )
-        return Ended("no_grasp", "inferred", "the log has no close command")
+        return _without_close(log, hindsight)
     end_ns = max(log.last_ns, log.limit_ns or 0)
     joints = [s.t_ns for s in log.hand_samples if s.t_ns <= end_ns]
     last_ns = max([log.last_ns, *joints[-1:]])
@@ -97,6 +94,18 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     return Ended(
         "success" if held else "failure", "inferred", reasons, confident if held else 1 - confident
     )
+
+
+def _without_close(log: TrialLog, hindsight: Hindsight | None) -> Ended:
+    """The outcome where the hand is known never to have closed."""
+    times = range(log.first_ns, log.last_ns + 1, POSE_STEP_NS)
+    palms = [T[:3, 3] for t in times if (T := log.robot.T_base_palm(t)) is not None]
+    moved = not palms or float(np.ptp(palms, axis=0).max()) > MOVED_M
+    nearest = None if hindsight is None else hindsight.nearest_m
+    outcome, why = outcome_without_close(len(palms) / len(times), nearest, moved)
+    if outcome == "unknown":
+        return Ended(outcome, None, why)
+    return Ended(outcome, "inferred", why, 0.0 if outcome == "failure" else None)
 
 
 def _pressing(hand_samples: tuple[JointSample, ...], last_ns: int) -> tuple[bool, str] | None:

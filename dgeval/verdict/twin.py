@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from dgeval.failure_rule import Facts, Needs, Thresholds, Unknown, Verdict, classify
+from dgeval.failure_rule import NEAR_M, Facts, Needs, Thresholds, Unknown, Verdict, classify
 from dgeval.geometry import Array, invert, rotation_vector
 from dgeval.verdict.decide import Draw
 from dgeval.verdict.evidence import Scene
-from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, NEAR, SUBSTEPS
+from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, SUBSTEPS
 from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle
 from dgeval.worlds.objects import ObjectModel
 from dgeval.worlds.scene import TIMESTEP, build
@@ -368,7 +368,7 @@ class Twin(HandOnHandle):
             - T[:3, :3] @ self.gripper.centre
             - T[:3, 3]
         )
-        return bool(np.linalg.norm(off) < NEAR + 0.5 * np.linalg.norm(self.target.extent()))
+        return bool(np.linalg.norm(off) < NEAR_M + 0.5 * np.linalg.norm(self.target.extent()))
 
     def _approach(self, first: int, end: int, resync: bool = True) -> Approach:
         self.reset_to(first)

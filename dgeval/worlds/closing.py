@@ -26,7 +26,6 @@ SHAKE_S = 0.3  # s of the hold in which a shaken grasp is shaken, one and a half
 GIVEN_UP_SHARE, LEFT_BEHIND_M = 0.45, 0.01
 AFTER_CLOSE_S = 0.6  # s after the real close, until which other close times are tried
 TRUTH_STEP = 3  # control periods between the close times tried, 30 ms
-NEAR = 0.08  # m from hand to object, where the window of other close times begins
 
 
 def finishing_twist(since_close: float, velocity: Array) -> Array:

@@ -13,6 +13,7 @@ import pytest
 from dgeval.recording import closes
 from dgeval.recording.closes import NoClose, close_of
 from dgeval.recording.events import Events
+from dgeval.recording.grippers import GripperTrack
 from dgeval.recording.messages import Event
 
 S = 1_000_000_000
@@ -116,11 +117,21 @@ def test_fingers_that_slip_as_the_palm_rises_do_not_close(monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize("ended", [True, False])
 def test_a_hand_that_stays_open(monkeypatch: pytest.MonkeyPatch, ended: bool) -> None:
-    """With the robot's own end of the trial that is a fact; without it nothing says so."""
+    """Fails where fingers that are known throughout are no fact without the robot's own events."""
     made = robot(monkeypatch, [(0, OPEN), (5, OPEN)], [(0, LOW), (5, LOW)])
     entries = (Event(4 * S, "trial_end", {}),) if ended else ()
     known = close_of(Events(entries), made, 0, 5 * S)
-    assert (known.source, known.missing is None) == (None, ended)
+    assert (known.source, known.missing) == (None, None)
+
+
+def test_a_gripper_that_is_told_to_move_may_have_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails where fingers that stand still outweigh a command that the palm does not rise after."""
+    made = robot(monkeypatch, [(0, OPEN), (5, OPEN)], [(0, LOW), (5, LOW)])
+    times = np.array([1 * S, 2 * S, 3 * S, 4 * S], dtype=np.int64)
+    told = GripperTrack("/gripper/command", True, times, np.array([0.1, 0.1, 0.0, 0.0]))
+    known = close_of(Events(()), made, 0, 5 * S, grippers=(told,))
+    assert known.source is None
+    assert known.missing is not None
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0])

@@ -1,7 +1,8 @@
 """How a trial ended, from an operator's label, fingers and sightings, each just under and just
 over its line.
 
-Catches: a label that loses against the log, a log that ends at the close and is judged all the
+Catches: a label that loses against the log, a hand that never closed judged by what the robot
+recorded of its plans, a log that ends at the close and is judged all the
 same, efforts of one finger or of a moment taken for a grip, jaws that meet taken for held,
 sightings that jump about believed, and a contradiction decided.
 """
@@ -47,10 +48,18 @@ def trial(
     label: str | None = None,
     end_s: float | None = None,
     damage: Sequence[str] = (),
-    poses: dict[str, list[object]] | None = None,
     missing: str | None = None,
+    palm_known: float = 1.0,
+    palm_speed: float = 0.1,
 ) -> Any:
     """A trial whose last frame is `last_s` after the close; the log of the joints is as given."""
+    last_ns = at(last_s)
+
+    def T_base_palm(t_ns: int) -> Array | None:
+        T = np.eye(4)
+        T[2, 3] = palm_speed * (t_ns - START) * 1e-9
+        return T if t_ns - START <= palm_known * (last_ns - START) else None
+
     every = [*events, *([Event(CLOSE, "close", {})] if closed else [])]
     return SimpleNamespace(
         spec=SimpleNamespace(label=label, end_ns=None if end_s is None else at(end_s)),
@@ -58,9 +67,9 @@ def trial(
         event_ns=lambda kind: next((e.t_ns for e in every if e.kind == kind), None),
         damage=list(damage),
         # `hand_distance` is replaced where it counts
-        robot=SimpleNamespace(samples=tuple(joints)),
-        pairs=[Pair(START, 0, 0), Pair(at(last_s), 1, 1)],
-        scan=SimpleNamespace(poses=poses or {}, times={}, twists={}),
+        robot=SimpleNamespace(samples=tuple(joints), T_base_palm=T_base_palm),
+        pairs=[Pair(START, 0, 0), Pair(last_ns, 1, 1)],
+        scan=SimpleNamespace(poses={}, times={}, twists={}),
         config=Config(),
         opened=None,
         close=SimpleNamespace(missing=missing),
@@ -132,29 +141,47 @@ def test_a_label_that_says_neither_is_passed_over(label: object) -> None:
     assert outcome(trial([event], GRIP), None).source == "inferred"
 
 
-# without a close
+# without a close, the fingers known never to have closed
 
-GRASP: dict[str, list[object]] = {"/dgeval/belief/grasp": [1]}
 END = Event(at(4.0), "trial_end", {})
 
 
-def test_no_close() -> None:
-    """Catches a trial without an attempt called a failure."""
-    none = Ended("no_grasp", "inferred", "the log has no close command")
-    assert outcome(trial(closed=False), None) == none
-    assert outcome(trial(closed=False, poses=GRASP), None) == none, "the trial went on"
-    assert outcome(trial([END], closed=False), None) == none, "nobody chose a grasp"
-    assert outcome(trial([END], closed=False, poses={"/dgeval/belief/grasp": []}), None) == none
+def near_to(nearest_m: float | None) -> Any:
+    """Hindsight of a trial in which the hand came so near, m."""
+    return SimpleNamespace(nearest_m=nearest_m)
 
 
-def test_an_attempt_that_ran_out_is_a_failure() -> None:
-    """Catches an own attempt without a close that is lost to the failures, or with a chance of
-    success.
-    """
-    told = Ended(
-        "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
-    )
-    assert outcome(trial([END], closed=False, poses=GRASP), None) == told
+@pytest.mark.parametrize(("nearest_m", "told"), [(0.079, "failure"), (0.081, "no_grasp")])
+def test_near_and_never_closed_is_a_failure(nearest_m: float, told: str) -> None:
+    """Catches another line, and an answer that depends on what the robot recorded of its plans."""
+    found = outcome(trial(closed=False), near_to(nearest_m))
+    assert (found.outcome, found.source) == (told, "inferred")
+    assert found.p_success == (0.0 if told == "failure" else None)
+    assert outcome(trial([END], closed=False), near_to(nearest_m)) == found
+
+
+@pytest.mark.parametrize("hindsight", [None, near_to(None)])
+def test_a_target_that_is_not_known_is_no_answer(hindsight: Any) -> None:
+    """Catches `no_grasp` said of a hand that moved to a target which was never tracked."""
+    found = outcome(trial(closed=False), hindsight)
+    assert (found.outcome, found.source) == ("unknown", None)
+    assert "how near it came to the target is not known" in found.evidence
+    still = outcome(trial(closed=False, palm_speed=0.0), hindsight)
+    assert still.outcome == "no_grasp", "a hand that never moved grasps nothing"
+
+
+@pytest.mark.parametrize(
+    ("known", "told"), [(0.91, "no_grasp"), (0.89, "unknown"), (0.0, "unknown")]
+)
+def test_a_hand_that_is_not_known_is_no_answer(known: float, told: str) -> None:
+    """Catches "never came near" said of a palm whose pose is recorded for part of the trial."""
+    assert outcome(trial(closed=False, palm_known=known), near_to(0.5)).outcome == told
+
+
+def test_fingers_that_are_not_known_are_no_answer() -> None:
+    """Catches `no_grasp` said where nobody knows what the fingers did."""
+    found = outcome(trial(closed=False, missing="no moment of closing is marked"), near_to(0.5))
+    assert found == Ended("unknown", None, "no moment of closing is marked")
 
 
 def test_damage_goes_before_what_is_missing() -> None:
@@ -162,7 +189,7 @@ def test_damage_goes_before_what_is_missing() -> None:
     told = Ended(
         "incomplete", None, "the recording is damaged and what can be read of it has no close"
     )
-    assert outcome(trial([END], closed=False, poses=GRASP, damage=["torn"]), None) == told
+    assert outcome(trial([END], closed=False, damage=["torn"]), None) == told
     assert outcome(trial(closed=False, damage=["torn"]), None) == told
     assert outcome(trial(joints=EMPTY, damage=["torn"]), None).outcome == "failure", (
         "the close was read"
