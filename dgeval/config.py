@@ -38,6 +38,9 @@ class RolesConfig(Section):
     hand_pose: str | None = Field(None, description="a PoseStamped topic instead of tf or joints")
     hand_joints: str | None = None
     events: str | None = None
+    target: str | None = Field(
+        None, description="masks, vision_msgs detections or poses that mark the target"
+    )
 
 
 class RoleClock(Section):

@@ -179,7 +179,7 @@ TRIALS: tuple[Column, ...] = (
     Column("n_lost", "int", "", "frames in which the tracker had lost the target", "trial"),
     Column("n_predicted", "int", "", "frames without an accepted registration", "trial"),
     Column("self_filter", "str", "", "geometry, mask or none", "trial"),
-    Column("target_source", "str", "", "bbox, manifest or automatic", "trial"),
+    Column("target_source", "str", "", "bbox, recorded (marked in the log) or automatic", "trial"),
     Column("t_execute_ns", "int", "ns",
            "first frame in which the replay would have closed", "trial"),
     Column("t_close_ns", "int", "ns", "close command, or what was taken for it", "trial"),

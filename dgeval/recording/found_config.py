@@ -23,6 +23,7 @@ def found_config(path: Path, config: Config) -> str:
         "intrinsics": roles.intrinsics,
         "camera_pose": roles.camera_pose,
         "hand_pose": roles.hand_pose,
+        "target": roles.target,
     }
     lines = [
         f"# What dgeval takes for {path.name}, to edit:",
@@ -32,6 +33,8 @@ def found_config(path: Path, config: Config) -> str:
     ]
     for role, topic in used.items():
         without = "from tf, or joints and description" if role.endswith("_pose") else "none found"
+        if role == "target":
+            without = "no mask, detection or object's pose is recorded; it is looked for"
         lines.append(f"{role} = {_text(topic)}" if topic else f"# {role}: {without}")
         others = roles.passed_over.get(role)
         if others:

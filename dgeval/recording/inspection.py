@@ -121,7 +121,7 @@ def _topic(scanned: Scan, name: str) -> dict[str, Any]:
 
 def _roles(scanned: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, Any]:
     out: dict[str, Any] = {
-        r: getattr(roles, r) for r in ("colour", "depth", "intrinsics", "hand_joints")
+        r: getattr(roles, r) for r in ("colour", "depth", "intrinsics", "hand_joints", "target")
     }
     camera = palm = None
     if robot is not None:

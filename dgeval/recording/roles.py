@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,13 +10,14 @@ import numpy as np
 from dgeval.config import RolesConfig
 from dgeval.errors import Place, UnreadableError, UsageError
 from dgeval.recording.cameras import choose_camera, intrinsics_of, is_aligned, other_camera
-from dgeval.recording.contract import DGEVAL_PREFIX, TRUTH_PREFIX
+from dgeval.recording.contract import DGEVAL_PREFIX, MASK_TOPIC, TRUTH_PREFIX
 from dgeval.recording.messages import JointSample
 from dgeval.recording.namespaces import Series, differ, namespace_of, of_camera
 from dgeval.recording.scan import ImageHead, Scan
 from dgeval.recording.video import EXTRA, is_available
 
 SAME_JOINT = 0.02  # rad or m; two topics that differ by less give one joint's position; ours
+MASK_ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1")
 # parts of a topic's name that rule it out as the camera or a state of the robot
 NOT_A_CAMERA = (DGEVAL_PREFIX, TRUTH_PREFIX, "mask", "debug", "annotated", "detection")
 
@@ -25,6 +27,7 @@ class Roles:
     """The topic of each role, or None.
 
     joints: every topic of joint states that counts, the first with a joint's name gives its values.
+    target: masks, detections or an object's poses, which mark the target.
     depth_intrinsics: of a depth camera whose images are not aligned to colour.
     passed_over: by role, topics that could have it as well. notes: what was assumed.
     """
@@ -39,6 +42,7 @@ class Roles:
     joints: tuple[str, ...] = ()
     depth_intrinsics: str | None = None
     notes: tuple[str, ...] = ()
+    target: str | None = None
 
 
 def find_roles(scan: Scan, config: RolesConfig) -> Roles:
@@ -105,7 +109,30 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
         tuple(joints),
         depth_intrinsics,
         tuple(notes),
+        config.target or _target_topic(scan, colour),
     )
+
+
+def _target_topic(scan: Scan, colour: str | None) -> str | None:
+    """The robot's mask, else a mask of the colour picture, else detections, else an object's pose;
+    None where there is none.
+    """
+    head = scan.images.get(colour or "")
+    if head is None:
+        return None
+
+    def is_mask(name: str) -> bool:
+        mask = scan.images[name]
+        size = (mask.width, mask.height) == (head.width, head.height)
+        return size and mask.encoding in MASK_ENCODINGS and _has(name, "mask", "segmentation")
+
+    def theirs(names: Iterable[str]) -> list[str]:
+        return sorted(n for n in names if not n.startswith((DGEVAL_PREFIX, TRUTH_PREFIX)))
+
+    own = [n for n in scan.images if n == MASK_TOPIC and is_mask(n)]
+    masks = [n for n in theirs(scan.images) if n != colour and is_mask(n)]
+    poses = [n for n in theirs(scan.poses) if _has(n, "object")]
+    return next(iter([*own, *masks, *theirs(scan.detections), *poses]), None)
 
 
 def aligned(scan: Scan, colour: str, depth: str) -> bool:

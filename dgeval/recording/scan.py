@@ -26,6 +26,7 @@ from dgeval.recording.contract import (
     ROBOT_DESCRIPTION,
     SCORE_TOPIC,
 )
+from dgeval.recording.detections import DETECTION_TYPES, Detection, detections_of
 from dgeval.recording.grippers import is_gripper_topic, number_of
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import (
@@ -62,6 +63,7 @@ STAMPED = (
     IMAGE_TYPES
     | POSE_TYPES
     | TF_TYPES
+    | DETECTION_TYPES
     | {
         CAMERA_INFO,
         "sensor_msgs/msg/JointState",
@@ -133,6 +135,7 @@ class Scan:
     twists: dict[str, list[tuple[int, Array]]] = field(default_factory=lambda: defaultdict(list))
     joints: dict[str, list[JointSample]] = field(default_factory=lambda: defaultdict(list))
     grippers: dict[str, list[tuple[int, float]]] = field(default_factory=lambda: defaultdict(list))
+    detections: dict[str, list[Detection]] = field(default_factory=lambda: defaultdict(list))
     scores: list[tuple[int, float]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     recorder_clock: RecorderClock | None = None
@@ -192,6 +195,10 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 sample = joints_of(opened.decode(message))
                 times.header_ns.append(sample.t_ns)
                 out.joints[message.topic].append(sample)
+            elif topic.type in DETECTION_TYPES:
+                decoded = opened.decode(message)
+                times.header_ns.append(stamp_ns(decoded))
+                out.detections[message.topic].extend(detections_of(decoded))
             elif message.topic.endswith(DEPTH_UNIT):
                 out.depth_units[message.topic] = round(float(opened.decode(message).data), 9)
             elif topic.type == "std_msgs/msg/String" and message.topic.endswith(IMAGE_METADATA):
@@ -227,6 +234,9 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             f"{out.undecodable[name]} messages can't be used, "
             f"the first: {out.first_undecodable[name]}"
         )
+        if opened.topics[name].type in DETECTION_TYPES:
+            opened.notes.append(f"{name}: {what}; a target is found without it")
+            continue
         opened.damage.append(Damage(what, Place(str(opened.path), name)))
     return out
 

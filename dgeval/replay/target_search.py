@@ -1,8 +1,9 @@
 """Which of the things in view is the target, where nobody gave a box.
 
-What the hand closes on is the target. Each thing that stands on the dominant plane is followed for
-a second; what can't be followed is none, and of the others the one whose path leads nearest to the
-grasp centre at the close is taken.
+What the log itself marks goes first: a mask, a detection, an object's pose. Where it marks several
+things, or none, what the hand closes on is the target. Each thing that stands on the dominant plane
+is followed for a second; what can't be followed is none, and of the others the one whose path leads
+nearest to the grasp centre at the close is taken.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from dgeval.perception.target import Box, candidates
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import LostFrames
+from dgeval.recording.recorded_target import Mark, marks_of
 from dgeval.recording.trials import Trial
 
 STARTS = (0.0, 0.25, 0.5, 0.75)  # shares of the time to the close, at which things are looked for
@@ -31,25 +33,38 @@ NEAR_CENTRE_M, NEAR_PALM_M = 0.15, 0.25
 
 @dataclass(frozen=True)
 class FoundTarget:
-    """The target's box, x0 y0 x1 y1 px, in the frame of a time, ns; how near it comes, m, to the
-    grasp; and how many other things could be followed from that frame.
+    """The target's box, x0 y0 x1 y1 px, in the frame of a time, ns.
+
+    apart_m: how near it comes to the grasp; None where it was marked alone. n_others: other things
+    that could be followed from that frame. topic: of the mark; None without one.
     """
 
     box: Box
     t_ns: int
-    apart_m: float
+    apart_m: float | None
     n_others: int
+    topic: str | None = None
 
 
 def search_target(trial: Trial, config: Config) -> FoundTarget | None:
-    """None without poses of camera and palm, or where nothing that is followed meets the hand."""
+    """None without a mark and without poses of camera and palm, or where nothing that is followed
+    meets the hand.
+    """
+    marks = marks_of(trial.scan, trial.roles.target, trial.pairs, trial.reader.camera, trial.robot)
+    if marks and max(len(m.boxes) for m in marks) == 1:
+        found = _marked_alone(trial, marks, config)
+        if found is not None:
+            return found
     centres, near_m = _grasp_centres(trial)
     close_ns = trial.event_ns(CLOSE_EVENT)
     n = len([p for p in trial.pairs if close_ns is None or p.t_ns <= close_ns])
     if trial.robot.base_frame is None or not centres or n < LEAST_SEEN:
         return None
-    for share in STARTS:
-        first = int(share * n)
+    stamps = [p.t_ns for p in trial.pairs]
+    starts: list[tuple[int, Mark | None]] = [(int(share * n), None) for share in STARTS]
+    spread = [marks[int(share * len(marks))] for share in STARTS] if marks else []
+    marked = [(stamps.index(m.t_ns), m) for m in dict.fromkeys(spread)]
+    for first, mark in [*(m for m in marked if m[0] < n), *starts]:
         reader = replace(
             trial.reader, pairs=trial.pairs[first : min(first + FOLLOWED, n)], lost=LostFrames([])
         )
@@ -57,14 +72,33 @@ def search_target(trial: Trial, config: Config) -> FoundTarget | None:
         if not frames:
             continue
         followed = []
-        for box in candidates(frames[0], config)[:MOST_THINGS]:
+        boxes = candidates(frames[0], config) if mark is None else list(mark.boxes)
+        for box in boxes[:MOST_THINGS]:
             path = _follow(frames, box, config)
             if path is not None:
                 followed.append((_apart(path, centres, close_ns), box))
         followed.sort()
         if followed and followed[0][0] <= near_m:
             apart, box = followed[0]
-            return FoundTarget(box, frames[0].t_ns, apart, len(followed) - 1)
+            topic = None if mark is None else mark.topic
+            return FoundTarget(box, frames[0].t_ns, apart, len(followed) - 1, topic)
+    return None
+
+
+def _marked_alone(trial: Trial, marks: list[Mark], config: Config) -> FoundTarget | None:
+    """The first mark; for a point on the object, of the things there the smallest."""
+    for mark in marks:
+        if not mark.is_point:
+            return FoundTarget(mark.boxes[0], mark.t_ns, None, 0, mark.topic)
+        pairs = tuple(p for p in trial.pairs if p.t_ns == mark.t_ns)
+        frame = next(replace(trial.reader, pairs=pairs, lost=LostFrames([])).frames(), None)
+        x0, y0, x1, y1 = mark.boxes[0]
+        u, v = (x0 + x1) / 2, (y0 + y1) / 2
+        things = [] if frame is None else candidates(frame, config)
+        there = [b for b in things if b[0] <= u < b[2] and b[1] <= v < b[3]]
+        if there:
+            smallest = min(there, key=lambda b: (b[2] - b[0]) * (b[3] - b[1]))
+            return FoundTarget(smallest, mark.t_ns, None, len(things) - 1, mark.topic)
     return None
 
 

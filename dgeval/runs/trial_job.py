@@ -263,7 +263,7 @@ def trial_row(
         "n_lost": counts.lost,
         "n_predicted": counts.predicted,
         "self_filter": self_filter_of(trial, counts),
-        "target_source": "bbox" if spec.bbox is not None else "automatic",
+        "target_source": target_source(trial, target),
         "t_execute_ns": t_execute_ns,
         "t_close_ns": trial.event_ns(CLOSE_EVENT),
         "close_source": trial.close.source,
@@ -283,6 +283,13 @@ def trial_row(
     return row, exit_code, messages
 
 
+def target_source(trial: Trial, target: FoundTarget | None) -> str:
+    """`bbox`, `recorded` where the log marks the target, else `automatic`."""
+    if trial.spec.bbox is not None:
+        return "bbox"
+    return "recorded" if target is not None and target.topic is not None else "automatic"
+
+
 def target_note(trial: Trial, target: FoundTarget | None) -> list[str]:
     """How the target was chosen where nobody gave a box, and where it can be looked at."""
     if trial.spec.bbox is not None:
@@ -290,9 +297,15 @@ def target_note(trial: Trial, target: FoundTarget | None) -> list[str]:
     picture = f"pictures/{file_name(trial.spec.id)}-target.png"
     if target is None:
         how = "the thing nearest to the palm or the largest, in the first frames"
+        if trial.roles.target is not None:
+            how += f", as {trial.roles.target} does not tell"
+    elif target.apart_m is None:
+        at = (target.t_ns - trial.pairs[0].t_ns) * 1e-9
+        how = f"what {target.topic} marks at {at:+.2f} s"
     else:
+        marked = f", of what {target.topic} marks" if target.topic else ""
         others = f"; {target.n_others} more can be followed" if target.n_others else ""
-        how = f"what comes within {target.apart_m * 1000:.0f} mm of the grasp{others}"
+        how = f"what comes within {target.apart_m * 1000:.0f} mm of the grasp{marked}{others}"
     return [f"target: no box is given; taken is {how} ({picture}); another: --bbox x0,y0,x1,y1"]
 
 
