@@ -42,7 +42,8 @@ def outcome_without_close(
     if nearest_m is None and moved:
         return "unknown", "the hand never closed, and how near it came to the target is not known"
     if nearest_m is not None and nearest_m < NEAR_M:
-        return "failure", "the hand came to the object and never closed"
+        within = f"{NEAR_M * 100:.0f} cm"
+        return "failure", f"the hand came within {within} of the object and never closed"
     if nearest_m is None:
         return "no_grasp", "the hand never moved and never closed"
     return "no_grasp", f"the hand never closed and never came within {NEAR_M * 100:.0f} cm"

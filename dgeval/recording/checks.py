@@ -120,6 +120,11 @@ def failed_checks(
     if robot.conflict:
         mend = "name the camera's robot: --set frames.namespace=/NAME"
         failed.append(Check("robots", robot.conflict, mend))
+    if robot.hands:
+        named = ", ".join(robot.hands)
+        what = f"of several hands ({named}) none carries the camera, and not one alone moves"
+        mend = f"name the one that grasps: --set frames.palm={robot.hands[0]}"
+        failed.append(Check("hands", what, mend))
     if robot.base_frame is not None:
         times = [p.t_ns for p in window.pairs]
         known = sum(robot.T_base_camera(t) is not None for t in times)

@@ -18,6 +18,7 @@ from dgeval.geometry import Array, matrix_from_pose
 from dgeval.recording.contract import ROBOT_DESCRIPTION
 from dgeval.recording.messages import JointSample
 from dgeval.recording.namespaces import Series, differ, holds, home_of, namespace_of, of_camera
+from dgeval.recording.palm import palm_of
 from dgeval.recording.roles import Roles, joint_topics, merged_joints
 from dgeval.recording.scan import Scan, Transforms
 from dgeval.recording.transforms import TransformTree
@@ -27,19 +28,6 @@ from dgeval.robots.hand import Hand, hand_of
 # names of the robot's base in common descriptions, in order of preference
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
 SAME_POSE = 0.005  # m and parts of a quaternion; transforms that differ by less are one; ours
-# words in the name of the frame that stands for the palm, in order of preference
-PALM_WORDS = (
-    ("palm",),
-    ("hand_base", "gripper_base", "base_gripper", "robotiq_arg2f_base", "robotiq_base"),
-    ("_hand", "hand_link"),
-    ("gripper_link", "gripper"),
-    ("tcp",),
-    ("tool0", "ee_link", "end_effector", "flange"),
-)
-# parts of the name of a frame that may carry a camera, and no hand
-CARRIES_NO_HAND = ("camera", "optical", "base", "head", "neck", "pan_", "tilt", "torso", "odom")
-# parts of the name of a frame that is no palm though it has such a word
-NO_PALM = ("camera", "optical", "finger", "thumb", "knuckle", "pad", "handle", "hand_pose")
 
 
 @dataclass
@@ -83,7 +71,7 @@ class RobotStates:
 
     hand_links: links of the hand that have a shape. joints: of the whole robot, samples: as
     recorded. notes: what was assumed. conflict: robots that use the same names and are not told
-    apart, "" without.
+    apart, "" without. hands: palms of several hands of which nothing tells the one that grasps.
     """
 
     tree: TransformTree
@@ -95,6 +83,7 @@ class RobotStates:
     joints: JointTrack
     notes: tuple[str, ...]
     conflict: str = ""
+    hands: tuple[str, ...] = ()
     samples: tuple[JointSample, ...] = ()
 
     @property
@@ -179,7 +168,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     if tree.parent(camera) is None and roles.camera_pose:
         for pose in scan.poses[roles.camera_pose]:
             tree.add_moving(pose.t_ns + offset, pose.parent or "base", camera, pose.pose)
-    palm = _palm(scan, roles, config, tree, camera, description, notes)
+    palm, hands = palm_of(scan, roles, config, tree, camera, description, notes)
     base = config.frames.base
     if base is None and tree.parent(camera) is not None:
         chain = tree.ancestors(camera)
@@ -207,7 +196,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
             f"the base frame {base!r} moves in {above[-1]!r}: speeds are against {base!r}; for the "
             f"other: frames.base={above[-1]}"
         )
-    if base is not None and palm is None:
+    if base is not None and palm is None and not hands:
         notes.append("no frame of a palm is found: the hand's pose is not known; set frames.palm")
     links: list[str] = []
     if description is not None and palm is not None and palm in description.shapes:
@@ -227,6 +216,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         joints,
         tuple(notes),
         conflict,
+        hands,
         tuple(samples),
     )
 
@@ -322,71 +312,6 @@ def _add_joints(
             return None if q is None else joint.at(q)
 
         tree.computed[child] = (joint.parent, edge)
-
-
-def _palm(
-    scan: Scan,
-    roles: Roles,
-    config: Config,
-    tree: TransformTree,
-    camera: str,
-    description: Description | None,
-    notes: list[str],
-) -> str | None:
-    frames = tree.frames()
-    if config.frames.palm is not None:
-        if config.frames.palm not in frames:
-            raise UsageError(
-                f"frames.palm = {config.frames.palm!r} is in neither tf nor the robot description"
-            )
-        return config.frames.palm
-    usable = [f for f in frames if not any(part in f.lower() for part in NO_PALM)]
-    for words in PALM_WORDS:
-        named = sorted(f for f in usable if any(w in f.lower() for w in words))
-        if named:
-            return _nearest_to_camera(named, tree, camera, notes)
-    parting = [] if description is None else description.branches()
-    if parting:
-        return _nearest_to_camera(parting, tree, camera, notes)
-    if roles.hand_pose:
-        offset = config.clock.hand_pose.offset_ns
-        for pose in scan.poses[roles.hand_pose]:
-            tree.add_moving(
-                pose.t_ns + offset, pose.parent or "base", "palm (hand_pose)", pose.pose
-            )
-        return "palm (hand_pose)"
-    carrier = next((f for f in tree.ancestors(camera)[1:] if f in tree.moving), None)
-    if carrier is not None and not any(part in carrier.lower() for part in CARRIES_NO_HAND):
-        notes.append(f"palm frame: {carrier!r}, which carries the camera (frames.palm)")
-        return carrier
-    return None
-
-
-def _nearest_to_camera(named: list[str], tree: TransformTree, camera: str, notes: list[str]) -> str:
-    """Of several frames that may be the palm, the one nearest to the camera in the tree.
-
-    The camera hangs on one arm; a hand on another arm meets it at the base only. Between equals the
-    first by name, said in the notes.
-    """
-    above = tree.ancestors(camera)
-
-    def steps(frame: str) -> int:
-        """Edges from the frame up to where the camera's chain begins, and down to the camera."""
-        chain = tree.ancestors(frame)
-        common = next((f for f in chain if f in above), None)
-        return 1000 if common is None else chain.index(common) + above.index(common)
-
-    best = min(named, key=lambda f: (steps(f), f))
-    others = [f for f in named if f != best]
-    if others:
-        equal = [f for f in others if steps(f) == steps(best)]
-        why = "the first by name" if equal else "nearest to the camera"
-        notes.append(
-            f"palm frame: {best!r}, {why}; {', '.join(others)} could be it too (frames.palm)"
-        )
-    elif "palm" not in best.lower():
-        notes.append(f"palm frame: {best!r}, by its name (frames.palm)")
-    return best
 
 
 def _hand_root(description: Description, palm: str) -> str:

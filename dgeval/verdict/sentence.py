@@ -33,13 +33,16 @@ class Times:
 
 def sentence(times: Times, ended: Ended, decision: Decision, link: str | None) -> str:
     """What happened, with times in seconds from the trial's first frame."""
-    closed = "the hand never closed"
     if times.close_ns is not None:
-        closed = f"the hand closed at {times.text(times.close_ns)}"
+        ending = f"the hand closed at {times.text(times.close_ns)}, {ended.evidence}"
+    elif ended.source == "label":
+        ending = f"the hand never closed, {ended.evidence}"
+    else:
+        ending = ended.evidence  # says so itself
     answer = decision.answer
     if isinstance(answer, Unknown):
-        return f"{closed}, {ended.evidence}; the cause is unknown: {answer.reason}"
-    begin = f"{closed}, {ended.evidence}: {CLASS_TEXT[answer.failure_class]} "
+        return f"{ending}; the cause is unknown: {answer.reason}"
+    begin = f"{ending}: {CLASS_TEXT[answer.failure_class]} "
     begin += f"({max(decision.probabilities):.0%}). "
     row = sub_cause_named(answer.sub_cause)
     if answer.failure_class == "imprecise_pose" and not decision.chosen[0].facts.curve:

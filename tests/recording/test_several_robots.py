@@ -132,3 +132,55 @@ def test_two_arms_part_at_the_base_and_that_is_no_hand() -> None:
     assert load_description(text, "test", [], 0.01).branches() == ["lh"]
     one = '<robot name="r"><link name="base"/>' + joint("a", "base", "l1") + "</robot>"
     assert load_description(one, "test", [], 0.01).branches() == []
+
+
+def two_hands(messages: list[Message], demo: Path, way: float, on_hand: bool) -> list[Message]:
+    """The demo with a second hand, `a_palm`, that goes the first one's way back, or stands still.
+
+    way: share of the first one's way that it goes. on_hand: the camera hangs on the demo's hand;
+    else it looks from the base.
+    """
+    out = copy.deepcopy(messages)
+    robot = opened(demo).robot
+    edge, turn = TYPES["geometry_msgs/msg/Transform"], TYPES["geometry_msgs/msg/Quaternion"]
+    vector, kind = TYPES["geometry_msgs/msg/Vector3"], TYPES["geometry_msgs/msg/TransformStamped"]
+
+    def transforms(header: Any, child: str, xyz: Any) -> Any:
+        header = copy.deepcopy(header)
+        header.frame_id = "base_link"
+        x, y, z = (float(v) for v in xyz)
+        pose = edge(translation=vector(x=x, y=y, z=z), rotation=turn(x=0.0, y=0.0, z=0.0, w=1.0))
+        one = kind(header=header, child_frame_id=child, transform=pose)
+        return TYPES["tf2_msgs/msg/TFMessage"](transforms=[one])
+
+    colours = [m for m in out if m[1] == COLOUR]
+    stamps = [m[3].header.stamp.sec * 10**9 + m[3].header.stamp.nanosec for m in colours]
+    places = [T[:3, 3] for t in stamps if (T := robot.T_base_palm(t)) is not None]
+    assert len(places) == len(stamps)
+    for m, place in zip(colours, reversed(places), strict=True):
+        at = np.array([0.0, -0.6, 0.4]) + way * (place - places[0])
+        value = transforms(m[3].header, "a_palm", at)
+        out.append([m[0] + 1, "/tf", "tf2_msgs/msg/TFMessage", value])
+    if not on_hand:
+        first = colours[0]
+        value = transforms(first[3].header, "head", [0.5, 0.0, 1.2])
+        out.append([first[0], "/tf_static", "tf2_msgs/msg/TFMessage", value])
+        for m in out:
+            if getattr(getattr(m[3], "header", None), "frame_id", "") == CAMERA:
+                m[3].header.frame_id = "head"
+    return out
+
+
+@pytest.mark.parametrize(
+    ("way", "on_hand", "palm"),
+    [(1.0, True, "palm_link"), (0.0, False, "palm_link"), (1.0, False, None)],
+)
+def test_of_two_hands_the_one_that_grasps(
+    tmp_path: Path, messages: list[Message], demo: Path, way: float, on_hand: bool, palm: str | None
+) -> None:
+    """Fails where the first of two hands by alphabet, or by its name, is judged."""
+    path = write(tmp_path / "a.mcap", two_hands(messages, demo, way, on_hand))
+    trial = opened(path)
+    assert trial.robot.palm_frame == palm
+    assert ("hands" in [c.name for c in trial.checks]) == (palm is None)
+    assert "hands" not in [c.name for c in opened(path, "frames.palm=palm_link").checks]

@@ -32,10 +32,10 @@ LEFT = Ended(
     "failure", "inferred", "the object is seen left on its support 1.6 s after the close", 0.1
 )
 RAN_OUT = Ended(
-    "failure", "inferred", "a grasp was chosen and the trial ended without a close", 0.0
+    "failure", "inferred", "the hand came within 8 cm of the object and never closed", 0.0
 )
 CLOSED = "the hand closed at 2.50 s, the object is seen left on its support 1.6 s after the close"
-NEVER = "the hand never closed, a grasp was chosen and the trial ended without a close"
+NEVER = "the hand came within 8 cm of the object and never closed"
 CURVE = ((-0.99, False), (-0.03, False), (0.6, False))
 
 
