@@ -60,18 +60,23 @@ def _fill(
             z = depth[v, u]
             if z <= 0.0:
                 continue
-            x0, y0 = (u - 0.5 - kd[2]) / kd[0] * z, (v - 0.5 - kd[3]) / kd[1] * z
-            x1, y1 = (u + 0.5 - kd[2]) / kd[0] * z, (v + 0.5 - kd[3]) / kd[1] * z
-            za = T[2, 0] * x0 + T[2, 1] * y0 + T[2, 2] * z + T[2, 3]
-            zb = T[2, 0] * x1 + T[2, 1] * y1 + T[2, 2] * z + T[2, 3]
-            if za <= 0.01 or zb <= 0.01:
+            left = top = np.inf
+            right = bottom = -np.inf
+            middle, in_front = 0.0, True
+            for corner in range(4):
+                x = (u + (corner % 2) - 0.5 - kd[2]) / kd[0] * z
+                y = (v + (corner // 2) - 0.5 - kd[3]) / kd[1] * z
+                there = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+                if there <= 0.01:
+                    in_front = False
+                    break
+                uc = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / there * kc[0] + kc[2]
+                vc = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / there * kc[1] + kc[3]
+                left, right = min(left, uc), max(right, uc)
+                top, bottom = min(top, vc), max(bottom, vc)
+                middle += there / 4
+            if not in_front:
                 continue
-            ua = (T[0, 0] * x0 + T[0, 1] * y0 + T[0, 2] * z + T[0, 3]) / za * kc[0] + kc[2]
-            va = (T[1, 0] * x0 + T[1, 1] * y0 + T[1, 2] * z + T[1, 3]) / za * kc[1] + kc[3]
-            ub = (T[0, 0] * x1 + T[0, 1] * y1 + T[0, 2] * z + T[0, 3]) / zb * kc[0] + kc[2]
-            vb = (T[1, 0] * x1 + T[1, 1] * y1 + T[1, 2] * z + T[1, 3]) / zb * kc[1] + kc[3]
-            left, right = min(ua, ub), max(ua, ub)
-            top, bottom = min(va, vb), max(va, vb)
             if right - left > WIDEST_PX or bottom - top > WIDEST_PX:
                 continue
             # the pixels whose middle lies inside; where none does, the nearest one
@@ -81,8 +86,8 @@ def _fill(
                 first_u = last_u = int(np.rint((left + right) / 2))
             if last_v < first_v:
                 first_v = last_v = int(np.rint((top + bottom) / 2))
-            middle = np.float32((za + zb) / 2)
+            nearness = np.float32(middle)
             for row in range(max(first_v, 0), min(last_v, height - 1) + 1):
                 for column in range(max(first_u, 0), min(last_u, width - 1) + 1):
-                    if out[row, column] == 0.0 or middle < out[row, column]:
-                        out[row, column] = middle
+                    if out[row, column] == 0.0 or nearness < out[row, column]:
+                        out[row, column] = nearness

@@ -78,6 +78,7 @@ def checks_of(
     robot: Any = SimpleNamespace(
         base_frame="base",
         conflict="",
+        hands=(),
         T_base_camera=lambda t: np.eye(4) if t < known * 33_000_000 else None,
     )
     window = Window(0, stamps[-1], pairs, 0, 0, faults)

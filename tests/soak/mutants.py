@@ -707,8 +707,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/alignment.py",
-        "or middle < out[row, column]",
-        "or middle > out[row, column]",
+        "or nearness < out[row, column]",
+        "or nearness > out[row, column]",
         f"{TEST_CHECKS}::test_what_is_nearer_hides_what_is_behind_it",
     ),
     Mutant(
