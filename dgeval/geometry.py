@@ -6,6 +6,7 @@ with a unit quaternion of qw >= 0, so that equal rotations have equal numbers.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,6 +57,29 @@ def increment(xi: Array) -> Array:
     ]  # a hundredth of the time of scipy's Rotation, and called in inner loops
     T[:3, 3] = xi[:3]
     return T
+
+
+def rotation_about(axis: Array, angle: float) -> Array:
+    """(3, 3), a turn about a unit axis (3,) by an angle, rad.
+
+    The same steps as in SciPy's `Rotation.from_rotvec`, which needs ten times as long for one.
+    """
+    rx, ry, rz = float(axis[0]) * angle, float(axis[1]) * angle, float(axis[2]) * angle
+    turn = math.sqrt(rx * rx + ry * ry + rz * rz)
+    if turn <= 1e-3:
+        scale = 0.5 - turn * turn / 48 + turn * turn * turn * turn / 3840
+    else:
+        scale = math.sin(turn / 2) / turn
+    x, y, z, w = scale * rx, scale * ry, scale * rz, math.cos(turn / 2)
+    xx, yy, zz, ww = x * x, y * y, z * z, w * w
+    xy, zw, xz, yw, yz, xw = x * y, z * w, x * z, y * w, y * z, x * w
+    return np.array(
+        [
+            [xx - yy - zz + ww, 2 * (xy - zw), 2 * (xz + yw)],
+            [2 * (xy + zw), -xx + yy - zz + ww, 2 * (yz - xw)],
+            [2 * (xz - yw), 2 * (yz + xw), -xx - yy + zz + ww],
+        ]
+    )
 
 
 def rotation_vector(R: Array) -> Array:

@@ -89,3 +89,14 @@ def test_plane_moves_with_its_points(pose: np.ndarray) -> None:
     points = np.array([[0.3, 0.1, 0.2], [1, 2, 3.0]])
     T = g.matrix_from_pose(pose)
     assert np.allclose(plane.moved(T).height(g.transform(T, points)), plane.height(points))
+
+
+@given(st.tuples(numbers, numbers, numbers), st.floats(-7, 7), st.sampled_from([1.0, 1e-3, 1e-9]))
+def test_a_turn_about_an_axis_is_scipys_to_the_bit(
+    axis: tuple[float, float, float], angle: float, scale: float
+) -> None:
+    """Fails where a joint's pose, and with it every digest, changes in the last bits."""
+    length = float(np.linalg.norm(axis))
+    unit = np.array(axis) / length if length > 0.1 else np.array([0.0, 0.0, 1.0])
+    expected = Rotation.from_rotvec(unit * (angle * scale)).as_matrix()
+    np.testing.assert_array_equal(g.rotation_about(unit, angle * scale), expected)

@@ -7,7 +7,7 @@ way from things that move with the camera; only the range says it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -57,26 +57,30 @@ def factor_by_motion(frames: Sequence[Frame]) -> float | None:
 
     Each pair of frames votes; None where none can.
     """
-    votes = []
+    pairs = []
     for a, b in combinations(frames, 2):
         if a.T_base_camera is None or b.T_base_camera is None:
             continue
         T_b_a = invert(b.T_base_camera) @ a.T_base_camera
         if not MOVED_M <= np.linalg.norm(T_b_a[:3, 3]) <= MOST_MOVED_M:
             continue
-        at_one = _misfit(a, b, T_b_a, 1.0)
+        misfit = _misfit(a, b, T_b_a)
+        pairs.append((misfit, misfit(1.0)))
+    votes = [1.0 for _, at_one in pairs if at_one <= LEAST_WORSE]
+    if 2 * len(votes) > len(pairs):
+        return 1.0  # whatever the others say
+    for misfit_of, at_one in pairs:
         if at_one <= LEAST_WORSE:
-            votes.append(1.0)
             continue
-        misfit = np.array([_misfit(a, b, T_b_a, float(factor)) for factor in FACTORS])
-        if np.isnan(misfit).all():
+        misfits = np.array([misfit_of(float(factor)) for factor in FACTORS])
+        if np.isnan(misfits).all():
             continue
-        best = int(np.nanargmin(misfit))
+        best = int(np.nanargmin(misfits))
         if np.isnan(at_one):  # as recorded the frames hardly overlap, which itself may be the fault
-            if misfit[best] > LEAST_WORSE:
+            if misfits[best] > LEAST_WORSE:
                 continue
             at_one = np.inf
-        is_sharp = at_one > max(LEAST_WORSE, WORSE * misfit[best])
+        is_sharp = at_one > max(LEAST_WORSE, WORSE * misfits[best])
         votes.append(float(FACTORS[best]) if is_sharp else 1.0)
     if not votes:
         return None
@@ -85,22 +89,27 @@ def factor_by_motion(frames: Sequence[Frame]) -> float | None:
     return middle if len(votes) >= LEAST_VOTES and agree.mean() > 0.5 else 1.0
 
 
-def _misfit(a: Frame, b: Frame, T_b_a: Array, factor: float) -> float:
-    """Median share by which the depth of frame b differs from that of frame a, carried into b; NaN
-    where they hardly overlap.
+def _misfit(a: Frame, b: Frame, T_b_a: Array) -> Callable[[float], float]:
+    """By the factor of depth, the median share by which the depth of frame b differs from that of
+    frame a, carried into b; NaN where they hardly overlap.
     """
     camera: Intrinsics = a.camera
     v, u = np.mgrid[0 : camera.height : EVERY, 0 : camera.width : EVERY]
-    z = a.depth[v, u].astype(np.float64) * factor
+    z = a.depth[v, u].astype(np.float64)
     seen = z > 0
-    points = camera.backproject(u[seen], v[seen], z[seen]) @ T_b_a[:3, :3].T + T_b_a[:3, 3]
-    points = points[points[:, 2] > 0.01]
-    pixels = np.rint(b.camera.project(points)).astype(int)
-    inside = ((pixels >= 0) & (pixels < (b.camera.width, b.camera.height))).all(axis=1)
-    if inside.sum() < LEAST_POINTS:
-        return float("nan")
-    there = b.depth[pixels[inside, 1], pixels[inside, 0]].astype(np.float64) * factor
-    both = there > 0
-    if both.sum() < LEAST_POINTS:
-        return float("nan")
-    return float(np.median(np.abs(there[both] - points[inside, 2][both]) / there[both]))
+    turned = camera.backproject(u[seen], v[seen], z[seen]) @ T_b_a[:3, :3].T
+
+    def misfit(factor: float) -> float:
+        points = turned * factor + T_b_a[:3, 3]
+        points = points[points[:, 2] > 0.01]
+        pixels = np.rint(b.camera.project(points)).astype(int)
+        inside = ((pixels >= 0) & (pixels < (b.camera.width, b.camera.height))).all(axis=1)
+        if inside.sum() < LEAST_POINTS:
+            return float("nan")
+        there = b.depth[pixels[inside, 1], pixels[inside, 0]].astype(np.float64) * factor
+        both = there > 0
+        if both.sum() < LEAST_POINTS:
+            return float("nan")
+        return float(np.median(np.abs(there[both] - points[inside, 2][both]) / there[both]))
+
+    return misfit

@@ -159,7 +159,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
             raise UsageError(
                 "calibration.T_flange_camera needs calibration.flange, the link it refers to"
             )
-        tree.moving.pop(camera, None)
+        tree.drop_moving(camera)
         tree.add_static(
             config.calibration.flange,
             camera,
@@ -311,7 +311,7 @@ def _add_joints(
             q = track.at(joint.follows, t_ns, max_gap_ns)
             return None if q is None else joint.at(q)
 
-        tree.computed[child] = (joint.parent, edge)
+        tree.add_computed(joint.parent, child, edge)
 
 
 def _hand_root(description: Description, palm: str) -> str:

@@ -70,6 +70,9 @@ class Track:
         )
 
 
+Ways = tuple[list[str], list[str]]
+
+
 @dataclass
 class TransformTree:
     """Frames and the edges to their parents: moving (recorded), static, or computed from joints."""
@@ -78,9 +81,12 @@ class TransformTree:
     moving: dict[str, tuple[str, Track]] = field(default_factory=dict)
     static: dict[str, tuple[str, NDArray[np.float64]]] = field(default_factory=dict)
     computed: dict[str, tuple[str, Callable[[int], Array | None]]] = field(default_factory=dict)
+    # by (target, source), the frames from each up to where they meet; empty after any change
+    _ways: dict[tuple[str, str], Ways | None] = field(default_factory=dict, repr=False)
 
     def add_moving(self, t_ns: int, parent: str, child: str, pose: Array) -> None:
         """Add a sample; each one has its own parent, as in tf2."""
+        self._ways.clear()
         if child not in self.moving:
             self.moving[child] = (parent, Track())
         self.moving[child][1].add(t_ns, pose, parent)
@@ -93,7 +99,18 @@ class TransformTree:
             if not track.has_one_parent
         }
 
+    def drop_moving(self, child: str) -> None:
+        """Forget the samples of a frame, if it has any."""
+        self._ways.clear()
+        self.moving.pop(child, None)
+
+    def add_computed(self, parent: str, child: str, edge: Callable[[int], Array | None]) -> None:
+        """Add a frame whose T_parent_child (4, 4) follows from a time, ns; None where unknown."""
+        self._ways.clear()
+        self.computed[child] = (parent, edge)
+
     def add_static(self, parent: str, child: str, T_parent_child: Array) -> None:
+        self._ways.clear()
         self.static[child] = (parent, T_parent_child)
 
     def frames(self) -> set[str]:
@@ -134,14 +151,13 @@ class TransformTree:
 
     def lookup(self, target: str, source: str, t_ns: int) -> Array | None:
         """T_target_source (4, 4) at a time; None if not connected, or not known then."""
-        up_source, up_target = self.ancestors(source, t_ns), self.ancestors(target, t_ns)
-        common = next((f for f in up_source if f in up_target), None)
-        if common is None:
+        ways = self._ways_to(target, source, t_ns)
+        if ways is None:
             return None
         halves = []
-        for chain in (up_target, up_source):
+        for way in ways:
             T = np.eye(4)
-            for child in chain[: chain.index(common)]:
+            for child in way:
                 edge = self._edge(child, t_ns)
                 if edge is None:
                     return None
@@ -149,3 +165,17 @@ class TransformTree:
             halves.append(T)
         T_common_target, T_common_source = halves
         return invert(T_common_target) @ T_common_source
+
+    def _ways_to(self, target: str, source: str, t_ns: int) -> Ways | None:
+        """The frames from target and from source up to the first that is above both."""
+        if (target, source) in self._ways:
+            return self._ways[target, source]
+        up_target, up_source = self.ancestors(target, t_ns), self.ancestors(source, t_ns)
+        common = next((f for f in up_source if f in up_target), None)
+        ways = None
+        if common is not None:
+            ways = up_target[: up_target.index(common)], up_source[: up_source.index(common)]
+        passed = (f for f in (*up_target, *up_source) if f in self.moving)
+        if all(self.moving[f][1].has_one_parent for f in passed):  # it is the same at all times
+            self._ways[target, source] = ways
+        return ways

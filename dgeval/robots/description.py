@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgeval.errors import Place, UsageError, describe
-from dgeval.geometry import Array
+from dgeval.geometry import Array, rotation_about
 
 if TYPE_CHECKING:
     import yourdfpy
@@ -59,7 +59,7 @@ class Joint:
         T = np.eye(4)
         value = self.multiplier * q + self.offset
         if self.kind == "revolute":
-            T[:3, :3] = Rotation.from_rotvec(self.axis * value).as_matrix()
+            T[:3, :3] = rotation_about(self.axis, value)
         elif self.kind == "prismatic":
             T[:3, 3] = self.axis * value
         return np.asarray(self.origin @ T)
