@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from dgeval.recording.image_codecs.yuv import rgb_from
 
 EXTRA = "pip install 'dgeval[video]'"
-# part of a format's or an encoder's name -> decoder
+# part of a format's or an encoder's name -> codec
 CODECS = {"264": "h264", "265": "hevc", "hevc": "hevc", "av1": "av1", "vp9": "vp9", "vp8": "vp8"}
+# what FFmpeg finds under a codec's own name decodes AV1 on graphics cards only
+DECODERS = {"av1": "libdav1d"}
 # colour spaces of ITU-T H.273 as FFmpeg counts them -> a key of `yuv.LUMA`; others as BT.601,
 # which is also what FFmpeg takes where a stream does not say
 MATRICES = {1: "bt709", 9: "bt2020", 10: "bt2020"}
@@ -41,7 +43,7 @@ Picture = NDArray[np.uint8]
 
 
 def codec_of(message: Any) -> str | None:
-    """The decoder of a decoded message; None where it is no video."""
+    """The codec of a decoded message; None where it is no video."""
     stated = str(getattr(message, "format", "") or getattr(message, "encoding", "")).lower()
     if not hasattr(message, "data") or stated.startswith(("jp", "png", "bayer")):
         return None
@@ -63,7 +65,7 @@ class VideoDecoder:
     def __init__(self, codec: str) -> None:
         import av
 
-        self._context: Any = av.CodecContext.create(codec, "r")
+        self._context: Any = av.CodecContext.create(DECODERS.get(codec, codec), "r")
         self._context.thread_count = 1
         self._given = 0
 
