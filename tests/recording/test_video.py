@@ -28,7 +28,7 @@ OPTIONS = {
         "preset": "ultrafast",
         "x265-params": "log-level=none",
     },
-    "libsvtav1": {"crf": "10", "preset": "12", "svtav1-params": "pred-struct=1"},
+    "libsvtav1": {"crf": "2", "preset": "8", "svtav1-params": "pred-struct=1"},
     "libvpx-vp9": {"deadline": "realtime", "lag-in-frames": "0", "crf": "10", "b": "4M"},
     "libvpx": {"deadline": "realtime", "lag-in-frames": "0", "crf": "10", "b": "4M"},
 }
