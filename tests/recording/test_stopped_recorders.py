@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +102,32 @@ def test_messages_that_are_only_in_the_write_ahead_log(
     assert sha256_of(dead / file.name) == before  # the recording itself is not touched
     (dead / f"{file.name}-wal").unlink()
     assert sha256_of(dead / file.name) != before  # and what lies beside it is a part of it
+
+
+def test_a_change_that_was_half_made_is_taken_back(
+    tmp_path: Path, messages: list[Message], original: list[Any]
+) -> None:
+    """Fails where a killed recorder's -journal is passed over: pages of two states, or none at all.
+
+    The recorder dies while SQLite writes a transaction's pages into the file.
+    """
+    folder = rosbag2(tmp_path / "bag", messages, StoragePlugin.SQLITE3)
+    (file,) = folder.glob("*.db3")
+    code = (
+        "import os, sqlite3, sys\n"
+        "c = sqlite3.connect(sys.argv[1], isolation_level=None)\n"
+        "c.execute('PRAGMA cache_size=5')\n"  # pages: a larger change goes to the disk at once
+        "c.execute('BEGIN')\n"
+        "c.execute('UPDATE messages SET data = zeroblob(length(data))')\n"
+        "os._exit(1)\n"
+    )
+    before = file.read_bytes()
+    subprocess.run([sys.executable, "-c", code, str(file)], check=False)
+    assert file.with_name(f"{file.name}-journal").stat().st_size > 0
+    assert file.read_bytes() != before, "nothing of the change reached the file: the case is none"
+    trial = opened(file)
+    assert contents(trial) == original
+    assert any("-journal" in note for note in trial.notes)
 
 
 def halves(messages: list[Message], *cuts: float) -> list[list[Message]]:
