@@ -34,18 +34,22 @@ def inspect(
     """Topics, roles found and missing, rates, gaps, colour–depth skew, clocks, damage; what can and
     can't be answered."""
     from dgeval.config import load_config
+    from dgeval.determinism import limit_threads
     from dgeval.errors import EXIT_DATA_LOST, EXIT_OK
     from dgeval.recording.inspection import inspect_recording
+    from dgeval.runs.target_told import foretold_target
 
+    limit_threads()
     config = load_config(pipeline, tuple(set_ or ()))
     if config_:
         from dgeval.recording.found_config import found_config
 
         typer.echo(found_config(path, config), nl=False)
         return
-    inspection = inspect_recording(path, config)
+    inspection = inspect_recording(path, config, foretold_target)
     failed = [c for c in inspection["checks"] if c["name"] not in config.checks.accept]
-    code = EXIT_DATA_LOST if inspection["damage"] or failed else EXIT_OK
+    refused = inspection["replay"].startswith("refused")
+    code = EXIT_DATA_LOST if inspection["damage"] or failed or refused else EXIT_OK
     for damage in inspection["damage"]:
         typer.echo(f"damage: {damage}", err=True)
     if json_:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,24 +10,33 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.errors import DgevalError
+from dgeval.recording.checks import Check
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import BELIEF_PREFIX, TRUTH_PREFIX
-from dgeval.recording.manifest import find_trials
+from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.pairing import pair_images
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import Scan, scan
 from dgeval.recording.trials import Trial, open_trial
 
+Foretell = Callable[[Trial, Config], tuple[list[Check], list[str]]]
 
-def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
+
+def inspect_recording(
+    path: Path, config: Config, foretell: Foretell | None = None
+) -> dict[str, Any]:
     """A summary for JSON: file, damage, topics, roles, timing, events, notes, answers, checks that
     fail, and what `replay` will say.
 
-    UnreadableError, UsageError.
+    foretell: gives the checks and notes that only a replay's own stages tell. UnreadableError,
+    UsageError.
     """
-    opened = open_container(path)
+    specs = find_trials([path], config.roles.events)
+    first = specs[0]
+    recording = first.recording
+    opened = open_container(recording, first.parts)
     scanned = scan(opened, config.roles.events)
     roles = find_roles(scanned, config.roles)
     robot: RobotStates | None = None
@@ -35,12 +45,14 @@ def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
         robot = robot_states(scanned, roles, config)
     except DgevalError as error:
         robot_error = str(error)
-    files = [path] if path.is_file() else [p for p in path.iterdir() if p.is_file()]
+    files = list(first.parts) or [recording]
+    if recording.is_dir():
+        files = [p for p in recording.iterdir() if p.is_file()]
     out: dict[str, Any] = {
-        "file": str(path),
+        "file": str(recording),
         "kind": opened.container.kind,
         "bytes": sum(p.stat().st_size for p in files),
-        "sha256": sha256_of(path),
+        "sha256": sha256_of(recording, first.parts),
         "checksums": opened.container.checksums,
         "damage": [str(d) for d in opened.damage],
         "topics": [_topic(scanned, name) for name in sorted(opened.topics)],
@@ -49,26 +61,34 @@ def inspect_recording(path: Path, config: Config) -> dict[str, Any]:
         "events": [{"t_ns": e.t_ns, "event": e.kind, **e.fields} for e in scanned.events],
         "notes": [*(() if robot is None else robot.notes), *([robot_error] if robot_error else [])],
     }
-    trial = _trial(path, config)
+    if len(specs) > 1:
+        out["notes"].insert(0, f"{len(specs)} trials; this is of the first, {first.id}")
+    trial = _trial(first, config)
     out["answers"] = _answers(out, roles, robot, trial)
-    out["checks"], out["replay"], notes = _replay_preview(trial)
+    later: tuple[list[Check], list[str]] = ([], [])
+    if foretell is not None and isinstance(trial, Trial):
+        later = foretell(trial, config)
+    out["checks"], out["replay"], notes = _replay_preview(trial, *later)
     out["notes"] += [n for n in notes if n not in out["notes"]]
     return out
 
 
-def _trial(path: Path, config: Config) -> Trial | DgevalError:
-    """The recording's first trial as `replay` opens it, or why it is refused."""
+def _trial(spec: TrialSpec, config: Config) -> Trial | DgevalError:
+    """A trial as `replay` opens it, or why it is refused."""
     try:
-        return open_trial(find_trials([path], config.roles.events)[0], config)
+        return open_trial(spec, config)
     except DgevalError as error:
         return error
 
 
-def _replay_preview(trial: Trial | DgevalError) -> tuple[list[dict[str, str]], str, list[str]]:
+def _replay_preview(
+    trial: Trial | DgevalError, checks_later: list[Check], notes_later: list[str]
+) -> tuple[list[dict[str, str]], str, list[str]]:
     """The checks that fail, what `replay` will say first, and its notes."""
     if isinstance(trial, DgevalError):
         return [], f"refused: {trial}", []
-    checks = [{"name": c.name, "what": c.what, "mend": c.mend} for c in trial.checks]
+    failed = (*trial.checks, *checks_later)
+    checks = [{"name": c.name, "what": c.what, "mend": c.mend} for c in failed]
     close = (
         trial.close.missing
         or {
@@ -80,7 +100,7 @@ def _replay_preview(trial: Trial | DgevalError) -> tuple[list[dict[str, str]], s
             None: "the robot's events hold no close",
         }[trial.close.source]
     )
-    return checks, f"{len(trial.pairs)} frames; {close}", list(trial.notes)
+    return checks, f"{len(trial.pairs)} frames; {close}", [*trial.notes, *notes_later]
 
 
 def _topic(scanned: Scan, name: str) -> dict[str, Any]:

@@ -23,7 +23,6 @@ from dgeval.geometry import Array
 from dgeval.hindsight.second_pass import Hindsight, look_back
 from dgeval.hindsight.surface import CausalFrame, Surface, causal_frame_of
 from dgeval.perception.pipeline import Perception
-from dgeval.recording.checks import Check
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
@@ -33,6 +32,14 @@ from dgeval.replay.row import pose_columns
 from dgeval.replay.target_search import FoundTarget, search_target
 from dgeval.runs.files import TableFile, file_name, write_atomically, write_ply, write_table
 from dgeval.runs.folder import TrialResult
+from dgeval.runs.target_told import (
+    FirstSeen,
+    first_seen,
+    target_checks,
+    target_note,
+    target_source,
+    write_target,
+)
 from dgeval.schema import (
     FRAMES,
     FRAMES_ADDED,
@@ -46,7 +53,6 @@ from dgeval.verdict.judge import Judgement, judge
 from dgeval.verdict.log import log_of
 from dgeval.verdict.picture import decisive_picture
 
-LEAST_FRAMES = 20  # of a trial, from which on the target must have been measured in one; ours
 MAX_RECENT = 400  # compressed images kept, of which one becomes the picture of the decisive moment
 # Makes the object that writes a trial's review recording: add(step) for each frame, at the end
 # close(path, hindsight, judgement).
@@ -139,7 +145,7 @@ def _replay_trial(
     last_ns = trial.pairs[-1][0]
     close_ns = trial.event_ns(CLOSE_EVENT)
     target = search_target(trial, config) if spec.bbox is None else None
-    target_drawn = spec.bbox is not None
+    seen: FirstSeen | None = None
     perception = Perception(config)
     observed: list[CausalFrame] = []
     surface = Surface()
@@ -164,9 +170,10 @@ def _replay_trial(
                     }
                 )
             counts = counts.with_frame(step)
-            if not target_drawn and step.tracked.box is not None:
-                target_drawn = True
-                write_target(out / "pictures" / f"{name}-target.png", step)
+            if seen is None and step.tracked.box is not None:
+                seen = first_seen(step, trial, target, config)
+                if spec.bbox is None:
+                    write_target(out / "pictures" / f"{name}-target.png", step)
             if t_execute_ns is None and step.execute:
                 t_execute_ns = step.frame.t_ns
             model = step.model if step.model is not None else model
@@ -208,7 +215,7 @@ def _replay_trial(
         write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
     row, exit_code, messages = trial_row(
-        trial, config, counts, t_execute_ns, last_ns, judgement, target
+        trial, config, counts, t_execute_ns, last_ns, judgement, target, seen
     )
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
     write_atomically(
@@ -229,11 +236,12 @@ def trial_row(
     last_ns: int,
     judgement: Judgement,
     target: FoundTarget | None = None,
+    seen: FirstSeen | None = None,
 ) -> tuple[dict[str, Any], int, list[str]]:
     """The trial's row without its digests, the exit code, and messages for the user.
 
     t_execute_ns: time of the first frame in which the replay would have closed. last_ns: time of
-    the last frame. target: as it was found, where no box was given.
+    the last frame. target: as it was found, where no box was given. seen: where it was first seen.
     """
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
@@ -245,7 +253,8 @@ def trial_row(
         messages.append(
             f"{unmatched} of {n_colour} colour images have no depth image near enough in time"
         )
-    for check in (*trial.checks, *measured_check(counts, spec.bbox is not None)):
+    of_target = target_checks(counts, spec.bbox is not None, seen)
+    for check in (*trial.checks, *of_target):
         if check.name not in config.checks.accept:
             exit_code = EXIT_DATA_LOST
             messages.append(str(check))
@@ -274,65 +283,13 @@ def trial_row(
             [
                 *trial_notes(trial, config, counts),
                 *target_note(trial, target),
-                *map(str, measured_check(counts, spec.bbox is not None)),
+                *map(str, of_target),
                 *judgement.notes,
             ]
         ),
         **asdict(judgement.row),
     }
     return row, exit_code, messages
-
-
-def target_source(trial: Trial, target: FoundTarget | None) -> str:
-    """`bbox`, `recorded` where the log marks the target, else `automatic`."""
-    if trial.spec.bbox is not None:
-        return "bbox"
-    return "recorded" if target is not None and target.topic is not None else "automatic"
-
-
-def target_note(trial: Trial, target: FoundTarget | None) -> list[str]:
-    """How the target was chosen where nobody gave a box, and where it can be looked at."""
-    if trial.spec.bbox is not None:
-        return []
-    picture = f"pictures/{file_name(trial.spec.id)}-target.png"
-    if target is None:
-        how = "the thing nearest to the palm or the largest, in the first frames"
-        if trial.roles.target is not None:
-            how += f", as {trial.roles.target} does not tell"
-    elif target.apart_m is None:
-        at = (target.t_ns - trial.pairs[0].t_ns) * 1e-9
-        how = f"what {target.topic} marks at {at:+.2f} s"
-    else:
-        marked = f", of what {target.topic} marks" if target.topic else ""
-        others = f"; {target.n_others} more can be followed" if target.n_others else ""
-        how = f"what comes within {target.apart_m * 1000:.0f} mm of the grasp{marked}{others}"
-    return [f"target: no box is given; taken is {how} ({picture}); another: --bbox x0,y0,x1,y1"]
-
-
-def write_target(path: Path, step: Step) -> None:
-    """The picture in which the target was first tracked, with its box."""
-    assert step.tracked.box is not None
-    x0, y0, x1, y1 = (round(float(v)) for v in step.tracked.box)
-    drawn = np.ascontiguousarray(step.frame.colour[:, :, ::-1])
-    cv2.rectangle(drawn, (x0, y0), (x1, y1), (0, 0, 0), 4)
-    cv2.rectangle(drawn, (x0, y0), (x1, y1), (0, 200, 255), 2)
-    path.parent.mkdir(exist_ok=True)
-    cv2.imwrite(str(path), drawn)
-
-
-def measured_check(counts: FrameCounts, has_box: bool) -> list[Check]:
-    """Whether the target was measured in at least one frame: a registration was accepted."""
-    if counts.frames < LEAST_FRAMES or counts.predicted < counts.frames - 1:
-        return []
-    unseen = counts.lost + counts.no_depth >= counts.frames - 1
-    how = "was seen with usable depth" if unseen else "could be registered"
-    what = f"the target {how} in none of {counts.frames} frames"
-    mend = "give its box with --bbox x0,y0,x1,y1"
-    if has_box:
-        mend = (
-            "it has a box alone: is it nearer than the camera's least range, or the box beside it?"
-        )
-    return [Check("measured", what, mend)]
 
 
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:

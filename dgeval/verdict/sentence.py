@@ -35,10 +35,10 @@ def sentence(times: Times, ended: Ended, decision: Decision, link: str | None) -
     """What happened, with times in seconds from the trial's first frame."""
     if times.close_ns is not None:
         ending = f"the hand closed at {times.text(times.close_ns)}, {ended.evidence}"
-    elif ended.source == "label":
-        ending = f"the hand never closed, {ended.evidence}"
-    else:
+    elif ended.source == "inferred":
         ending = ended.evidence  # says so itself
+    else:
+        ending = f"the hand never closed, {ended.evidence}"
     answer = decision.answer
     if isinstance(answer, Unknown):
         return f"{ending}; the cause is unknown: {answer.reason}"

@@ -10,7 +10,7 @@ from dgeval.config import load_config
 from dgeval.perception.pipeline import Perceived
 from dgeval.perception.types import Fused, Observation, Tracked
 from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
-from dgeval.runs.trial_job import measured_check
+from dgeval.runs.target_told import FirstSeen, target_checks
 from tests.replay.test_row import step_of
 from tests.verdict.synthetic_trial import trial_of
 
@@ -81,7 +81,27 @@ def test_a_hand_whose_joints_are_missing_is_told() -> None:
 )
 def test_a_target_that_was_never_measured_fails_a_check(counts: FrameCounts, failed: bool) -> None:
     """Catches a track of nothing, on which every number of the trial would stand."""
-    assert [c.name for c in measured_check(counts, False)] == (["measured"] if failed else [])
+    assert [c.name for c in target_checks(counts, False, None)] == (["measured"] if failed else [])
+
+
+@pytest.mark.parametrize(
+    ("counts", "seen", "failed"),
+    [
+        (FrameCounts(frames=29, predicted=2), FirstSeen(900, 4), "nothing tells which of 4"),
+        (FrameCounts(frames=29, predicted=2), FirstSeen(900, 1), None),
+        (FrameCounts(frames=29, predicted=2), FirstSeen(900, None), None),
+        (FrameCounts(frames=29, predicted=2), FirstSeen(79, None), "79 px"),
+        (FrameCounts(frames=100, predicted=96, lost=96), FirstSeen(900, None), "4 of 100 frames"),
+        (FrameCounts(frames=100, predicted=96, lost=95), FirstSeen(900, None), None),
+    ],
+)
+def test_a_target_that_may_be_the_wrong_thing_fails_a_check(
+    counts: FrameCounts, seen: FirstSeen, failed: str | None
+) -> None:
+    """Catches the largest of several things taken, or a few frames followed, with exit 0."""
+    found = target_checks(counts, False, seen)
+    assert [c.name for c in found] == ([] if failed is None else ["target"])
+    assert failed is None or failed in found[0].what
 
 
 def test_ffhnet_is_named_with_its_weights() -> None:
