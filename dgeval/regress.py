@@ -34,7 +34,7 @@ def dataset_of(specs: Iterable[TrialSpec], inputs: dict[str, str]) -> dict[str, 
     inputs: SHA-256 by trial. Path and name of a recording are no part of the identity. The result's
     `sha256` is over all of it.
     """
-    outside = ("recording", "sha256", "parts", "window_is_log_time")
+    outside = ("recording", "sha256", "parts", "window_is_log_time", "is_between_pauses")
     trials = {
         s.id: _without_none({k: v for k, v in asdict(s).items() if k not in outside}) for s in specs
     }

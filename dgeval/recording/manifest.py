@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +21,7 @@ from dgeval.recording.contract import (
     label_of,
 )
 from dgeval.recording.messages import event_of
+from dgeval.recording.pauses import between_pauses
 from dgeval.recording.splits import split_recordings
 
 SUFFIXES = (".mcap", ".bag", ".db3")
@@ -76,6 +77,7 @@ class TrialSpec:
     lift_after_s: likewise, s after the first frame. sha256: of the
     recording, as the manifest says. parts: the files of a recording that was split, in order.
     window_is_log_time: start and end are of messages without a time of their own, as logged.
+    is_between_pauses: start and end are pauses of the recorder, and nobody's word.
     """
 
     id: str
@@ -97,6 +99,7 @@ class TrialSpec:
     lift_after_s: float | None = None
     parts: tuple[Path, ...] = ()
     window_is_log_time: bool = False
+    is_between_pauses: bool = False
 
 
 def find_trials(paths: list[Path], events_topic: str | None = None) -> list[TrialSpec]:
@@ -183,9 +186,16 @@ def _is_recording(path: Path) -> bool:
 
 
 def _of_recording(
-    path: Path, name: str, events_topic: str | None, parts: tuple[Path, ...] = ()
+    path: Path,
+    name: str,
+    events_topic: str | None,
+    parts: tuple[Path, ...] = (),
+    at_pauses: bool = True,
 ) -> list[TrialSpec]:
-    """One trial per trial_start event; without any, the whole recording is one."""
+    """One trial per trial_start event; without any, the whole recording is one.
+
+    at_pauses: or one between each two pauses of the recorder.
+    """
     opened = open_container(path, parts)
     topic = events_topic or EVENTS_TOPIC
     starts: list[int] = []
@@ -201,7 +211,14 @@ def _of_recording(
                 (starts if event.kind == TRIAL_START_EVENT else ends).append(event.t_ns)
                 is_log_time |= event.is_log_time
     if not starts:
-        return [TrialSpec(name, path, parts=parts)]
+        held = between_pauses(opened) if at_pauses and not ends else []
+        if len(held) < 2:
+            return [TrialSpec(name, path, parts=parts)]
+        whole = TrialSpec(name, path, parts=parts, window_is_log_time=True, is_between_pauses=True)
+        return [
+            replace(whole, id=f"{name}#{k}", start_ns=start, end_ns=end)
+            for k, (start, end) in enumerate(held)
+        ]
     out = []
     for k, start in enumerate(sorted(starts)):
         later = sorted(t for t in [*starts, *ends] if t > start)
@@ -221,7 +238,10 @@ def _from_manifest(path: Path) -> list[TrialSpec]:
         given = entry.model_dump(exclude={"recording", "id"})
         if entry.start_ns is None and entry.frames is None:
             for spec in _of_recording(
-                recording, entry.id or str(Path(entry.recording).with_suffix("")), None
+                recording,
+                entry.id or str(Path(entry.recording).with_suffix("")),
+                None,
+                at_pauses=False,
             ):
                 times: dict[str, Any] = {
                     "start_ns": spec.start_ns,

@@ -29,6 +29,12 @@ from dgeval.recording.scan import Scan, scan
 __all__ = ["Trial", "find_trials", "open_trial"]  # scripts outside the package find all three here
 
 
+PAUSES = (
+    "no trial's start is marked: one trial is taken between each two pauses of the recorder; if "
+    "that is wrong: a manifest with start_ns and end_ns"
+)
+
+
 @dataclass(frozen=True)
 class Trial:
     """One trial of a recording, by what each part of it knows.
@@ -150,6 +156,7 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     events = close.events
     notes = [
         *opened.notes,
+        *([PAUSES] if spec.is_between_pauses else []),
         *clock_note,
         *roles.notes,
         *robot.notes,
