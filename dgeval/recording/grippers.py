@@ -8,7 +8,7 @@ closes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,13 @@ GRIPPER_WORDS = ("gripper", "finger", "jaw", "hand")
 COMMAND_WORDS = ("command", "cmd", "goal", "desired", "target", "setpoint")
 # types whose number is what a gripper is told to do
 COMMAND_TYPES = ("Goal", "GripperCommand", "robot_output", "CommandedState")
+# what ROS 2 records of an action: which goals it has, and since when
+GOALS = "action_msgs/msg/GoalStatusArray"
 # where a message of a gripper has its number, tried in turn
 PATHS = (
     ("goal", "command", "position"),
+    ("feedback", "position"),
+    ("feedback", "current_width"),
     ("goal", "width"),
     ("command", "position"),
     ("position",),
@@ -34,22 +38,30 @@ NUMBERS = ("std_msgs/msg/Float32", "std_msgs/msg/Float64", "std_msgs/msg/Int32")
 CHANGES_BY = 0.10  # share of its range by which a command changes, to be a new one; ours
 SINGLE = 3  # messages of a command topic, up to which each of them is a command by itself; ours
 MOVES_BY = 0.20  # share of the recorded range that a closing motion covers, also of fingers
+SMOOTHED = 9  # samples of an effort, of which the median counts; ours
+OVER_NOISE = 20.0  # times its noise, that an effort's range must be to tell something; ours
 WITHIN_S = 1.5  # s, in which it does so
+
+
+TrackKind = Literal["command", "width", "effort"]
 
 
 @dataclass(frozen=True)
 class GripperTrack:
-    """One number of a gripper over time: stamps, ns, rising, and values (n,)."""
+    """One number of a gripper over time: stamps, ns, rising, and values (n,).
+
+    kind: what it is told, where it is, or how hard it presses.
+    """
 
     topic: str
-    is_command: bool
+    kind: TrackKind
     times: NDArray[np.int64]
     values: Array
 
     def changes(self) -> list[tuple[int, int]]:
         """Start and end, ns, of each motion; of a command both are when it was given."""
         span = float(np.ptp(self.values)) if len(self.values) else 0.0
-        if self.is_command:
+        if self.kind == "command":
             step = np.abs(np.diff(self.values)) > max(CHANGES_BY * span, 1e-6)
             # a topic of single commands; a stream of them begins with what holds already
             first = self.times[:1] if len(self.times) <= SINGLE else self.times[:0]
@@ -84,15 +96,47 @@ def _motions(times: NDArray[np.int64], values: Array, span: float) -> list[tuple
 def is_gripper_topic(name: str, kind: str) -> bool:
     """Whether a topic is a gripper's, by its name and by its type."""
     has_word = any(word in name.lower() for word in GRIPPER_WORDS)
-    return has_word and (kind in NUMBERS or "ripper" in kind or kind.endswith("GraspActionGoal"))
+    known = kind in (*NUMBERS, GOALS) or "ripper" in kind or kind.endswith("GraspActionGoal")
+    return has_word and known
 
 
 def is_command_topic(name: str, kind: str) -> bool:
     """Whether a gripper's topic says what it is told, and not where it is."""
     last = name.lower().rsplit("/", 1)[-1]
+    if kind == GOALS:
+        return True
     return any(word in last for word in COMMAND_WORDS) or any(
         kind.endswith(t) for t in COMMAND_TYPES
     )
+
+
+def effort_track(name: str, rows: list[tuple[int, float]]) -> GripperTrack | None:
+    """A joint's effort, each value the median of nine, so that noise moves nothing; None where it
+    hardly changes against its noise.
+    """
+    if len(rows) < 3 * SMOOTHED:
+        return None
+    raw = np.array([v for _, v in rows])
+    side = SMOOTHED // 2
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(raw, side, mode="edge"), SMOOTHED)
+    smooth = np.median(windows, axis=1)
+    noise = float(np.median(np.abs(raw - smooth)))
+    if float(np.ptp(smooth)) < max(OVER_NOISE * noise, 1e-6):
+        return None
+    times = np.array([t for t, _ in rows], dtype=np.int64)
+    return GripperTrack(f"the effort of {name}", "effort", times, smooth)
+
+
+def goals_of(message: Any, seen: set[bytes]) -> list[int]:
+    """When each goal of an action that is not in `seen` was taken on, ns; `seen` grows by them."""
+    out = []
+    for status in message.status_list:
+        key = np.asarray(status.goal_info.goal_id.uuid, dtype=np.uint8).tobytes()
+        if key not in seen:
+            seen.add(key)
+            stamp = status.goal_info.stamp
+            out.append(int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec))
+    return out
 
 
 def number_of(message: Any) -> float | None:

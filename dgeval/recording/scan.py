@@ -27,7 +27,7 @@ from dgeval.recording.contract import (
     SCORE_TOPIC,
 )
 from dgeval.recording.detections import DETECTION_TYPES, Detection, detections_of
-from dgeval.recording.grippers import is_gripper_topic, number_of
+from dgeval.recording.grippers import GOALS, goals_of, is_gripper_topic, number_of
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import (
     CAMERA_INFO,
@@ -152,6 +152,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
     seen_camera: dict[str, bytes] = {}
     videos: dict[str, VideoDecoder] = {}
     frame_times: dict[str, dict[int, int]] = defaultdict(dict)
+    goals: dict[str, set[bytes]] = defaultdict(set)
     for message in opened.messages():
         topic = opened.topics[message.topic]
         times = out.times[message.topic]
@@ -214,6 +215,12 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                     out.descriptions[message.topic] = text
             elif is_gripper_topic(message.topic, topic.type):
                 gripper = opened.decode(message)
+                if topic.type == GOALS:
+                    taken = out.grippers[message.topic]
+                    # each goal is a command of its own, whatever it says
+                    for t_ns in goals_of(gripper, goals[message.topic]):
+                        taken.append((t_ns or message.log_ns, float(len(taken) % 2)))
+                    continue
                 number = number_of(gripper)
                 header = getattr(gripper, "header", None)
                 if number is not None:

@@ -1,6 +1,6 @@
 """Catches: the wrong one of several motions of the fingers taken for the close, or its wrong end.
 
-`closes._inferred` on widths and heights made of numbers; a 5 s log, looked at every 10 ms.
+`closing_motion` on widths and heights made of numbers; a 5 s log, looked at every 10 ms.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dgeval.recording import closes
-from dgeval.recording.closes import NoClose, close_of
+from dgeval.recording import closing_motion
+from dgeval.recording.closes import close_of
+from dgeval.recording.closing_motion import NoClose
 from dgeval.recording.events import Events
 from dgeval.recording.grippers import GripperTrack
 from dgeval.recording.messages import Event
@@ -22,10 +23,10 @@ LENGTH_S = 5.0
 
 def robot(monkeypatch: pytest.MonkeyPatch, width: list[Any], height: list[Any]) -> Any:
     """A robot whose fingers and palm follow (time s, m) points, linear between them."""
-    times = np.arange(0, int(LENGTH_S * S) + 1, closes.STEP_NS)
+    times = np.arange(0, int(LENGTH_S * S) + 1, closing_motion.STEP_NS)
     apart = np.interp(times * 1e-9, *zip(*width, strict=True))
-    monkeypatch.setattr(closes, "_finger_ends", lambda _: ("a", "b"))
-    monkeypatch.setattr(closes, "_width", lambda *_: (times, apart))
+    monkeypatch.setattr(closing_motion, "_finger_ends", lambda _: ("a", "b"))
+    monkeypatch.setattr(closing_motion, "_width", lambda *_: (times, apart))
 
     def T_base_palm(t_ns: int) -> np.ndarray:
         T = np.eye(4)
@@ -37,8 +38,10 @@ def robot(monkeypatch: pytest.MonkeyPatch, width: list[Any], height: list[Any]) 
 
 def found(made: Any) -> tuple[float, float] | str:
     """Close and lift, s, or why there is none."""
-    told = closes._inferred(made, 0, int(LENGTH_S * S))
-    return told.why if isinstance(told, NoClose) else (told[0] / S, told[1] / S)
+    told = closing_motion.closing_motion(made, 0, int(LENGTH_S * S))
+    if isinstance(told, NoClose):
+        return told.why
+    return told.close_ns / S, told.lift_ns / S
 
 
 def near(told: tuple[float, float] | str, close_s: float, lift_s: float) -> bool:
@@ -128,7 +131,7 @@ def test_a_gripper_that_is_told_to_move_may_have_closed(monkeypatch: pytest.Monk
     """Fails where fingers that stand still outweigh a command that the palm does not rise after."""
     made = robot(monkeypatch, [(0, OPEN), (5, OPEN)], [(0, LOW), (5, LOW)])
     times = np.array([1 * S, 2 * S, 3 * S, 4 * S], dtype=np.int64)
-    told = GripperTrack("/gripper/command", True, times, np.array([0.1, 0.1, 0.0, 0.0]))
+    told = GripperTrack("/gripper/command", "command", times, np.array([0.1, 0.1, 0.0, 0.0]))
     known = close_of(Events(()), made, 0, 5 * S, grippers=(told,))
     assert known.source is None
     assert known.missing is not None
@@ -140,8 +143,8 @@ def test_fingers_known_half_the_time_are_not_known(
 ) -> None:
     """Fails where fingers that nobody saw in the other half are said never to have closed."""
     made = robot(monkeypatch, [(0, OPEN), (5, OPEN)], [(0, LOW), (5, LOW)])
-    times = np.arange(0, int(LENGTH_S * S * share) + 1, closes.STEP_NS)
-    monkeypatch.setattr(closes, "_width", lambda *_: (times, np.full(len(times), OPEN)))
+    times = np.arange(0, int(LENGTH_S * S * share) + 1, closing_motion.STEP_NS)
+    monkeypatch.setattr(closing_motion, "_width", lambda *_: (times, np.full(len(times), OPEN)))
     known = close_of(Events((Event(4 * S, "trial_end", {}),)), made, 0, 5 * S)
     assert (known.missing is None) == (share == 1.0)
 
@@ -159,3 +162,36 @@ def test_a_motion_without_a_lift_is_said_where_no_close_is_marked(
     assert (known.source, known.missing) == (None, None)
     assert "+2.0" in known.note
     assert "--close" in known.note
+
+
+def test_of_several_attempts_the_last_decides(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails where the first of several closes is judged by how the trial ended, or one is dropped
+    without a word.
+    """
+    shapes = (OPEN, OPEN, SHUT, SHUT, OPEN, OPEN, SHUT, SHUT)
+    heights = (LOW, LOW, HIGH, HIGH, LOW, LOW, HIGH, HIGH)
+    made = robot(
+        monkeypatch,
+        list(zip((0, 1, 1.4, 2.6, 2.8, 3, 3.4, 5), shapes, strict=True)),
+        list(zip((0, 1.5, 1.9, 2.6, 2.9, 3.6, 4.2, 5), heights, strict=True)),
+    )
+    assert near(found(made), 3.0, 3.6)
+    known = close_of(Events(()), made, 0, 5 * S)
+    assert "other attempts at +1.0" in known.note
+    closes = [Event(t * S, "close", {}) for t in (1, 3)]
+    lifts = [Event(t * S // 10, "lift", {}) for t in (15, 36)]
+    entries = tuple(sorted([*closes, *lifts], key=lambda e: e.t_ns))
+    told = close_of(Events(entries), made, 0, 5 * S)
+    assert (told.source, told.events.first_ns("close")) == ("event", 3 * S)
+    assert told.events.first_ns("lift") == 3.6 * S
+    assert "other attempts at +1.00 s" in told.note
+
+
+def test_a_gripper_that_closes_empty_after_the_last_lift_decides_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Fails where the close of a hand that goes home is judged."""
+    made = robot(monkeypatch, [(0, OPEN), (5, OPEN)], [(0, LOW), (5, LOW)])
+    entries = (Event(1 * S, "close", {}), Event(2 * S, "lift", {}), Event(4 * S, "close", {}))
+    told = close_of(Events(entries), made, 0, 5 * S)
+    assert told.events.first_ns("close") == 1 * S

@@ -24,7 +24,7 @@ S = 1_000_000_000
 
 def track(values: list[float], command: bool = False, step_s: float = 0.1) -> GripperTrack:
     times = (np.arange(len(values)) * step_s * S).astype(np.int64)
-    return GripperTrack("/gripper", command, times, np.array(values))
+    return GripperTrack("/gripper", "command" if command else "width", times, np.array(values))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -134,3 +134,59 @@ def test_a_command_goes_before_what_the_fingers_show(
     assert trial.event_ns(CLOSE_EVENT) == close_ns - 80_000_000
     assert trial.close.fingers_ns is not None
     assert abs(trial.close.fingers_ns - close_ns) < 100_000_000
+
+
+def test_a_goal_of_a_ros_2_action_is_a_command(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where the goals of an action, of which ROS 2 records only the states, tell nothing.
+
+    A first goal opens the hand, a second one closes it; each state is repeated.
+    """
+    first, close_ns = min(m[0] for m in messages), recorded_close(messages)
+    kind, told = "action_msgs/msg/GoalStatusArray", []
+    stamps = [first + 100_000_000, close_ns]
+    for t in (*stamps, close_ns + 400_000_000):
+        states = []
+        for k, stamp in enumerate(stamps):
+            if stamp > t:
+                continue
+            goal = TYPES["action_msgs/msg/GoalInfo"](
+                goal_id=TYPES["unique_identifier_msgs/msg/UUID"](
+                    uuid=np.full(16, k + 1, dtype=np.uint8)
+                ),
+                stamp=TYPES["builtin_interfaces/msg/Time"](
+                    sec=stamp // 10**9, nanosec=stamp % 10**9
+                ),
+            )
+            states.append(TYPES["action_msgs/msg/GoalStatus"](goal_info=goal, status=2))
+        told.append([t + 3_000_000, "/gripper_controller/gripper_cmd/_action/status", kind,
+                     TYPES[kind](status_list=states)])  # fmt: skip
+    trial = opened(write(tmp_path / "a.mcap", without_fingers(messages, *told)))
+    assert (trial.close.source, trial.event_ns(CLOSE_EVENT)) == ("command", close_ns)
+
+
+def test_an_effort_that_rises_before_the_lift(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where a gripper that records its motor's current alone shows no close, or where noise
+    is one.
+    """
+    close_ns = recorded_close(messages)
+    rng = np.random.default_rng(0)
+    listed, quiet = [], []
+    for m in without_fingers(messages):
+        for out, most in ((listed, 1.0), (quiet, 0.0)):
+            value = m[3]
+            if m[1] == JOINTS:
+                after = float(np.clip((m[0] - close_ns) / (0.2 * S), 0.0, 1.0))
+                value = TYPES[m[2]](
+                    header=value.header,
+                    name=[*value.name, "gripper_motor"],
+                    position=value.position,
+                    velocity=value.velocity,
+                    effort=np.array([0.0] * len(value.name) + [most * after + 0.01 * rng.normal()]),
+                )
+            out.append([*m[:3], value])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert trial.close.source == "effort"
+    found = trial.event_ns(CLOSE_EVENT)
+    assert found is not None
+    assert abs(found - close_ns) < 150_000_000
+    assert opened(write(tmp_path / "b.mcap", quiet)).close.source is None

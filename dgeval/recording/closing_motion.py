@@ -1,0 +1,201 @@
+"""When the fingers close and the palm rises, by the recorded joints.
+
+The close is the start of the last closing motion before the palm rises: the fingers' solids come
+nearer to each other by at least a fifth of what they ever do, within 1.5 s. Fingers that move
+without a lift after it are no proof of a grasp.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.geometry import Array
+from dgeval.recording.grippers import MOVES_BY, WITHIN_S
+from dgeval.recording.robot import RobotStates
+
+LEAST_M = 0.004  # m, least range of a hand that is said to close at all; ours
+STEP_NS = 10_000_000  # ns, between the times at which the hand is looked at
+STILL_NS = 100_000_000  # ns; a closing motion may pause for so long
+RESTING_NS = 250_000_000  # ns; fingers that met the object may go on within so long; ours
+# ns; fingers that begin to move less than this before the palm rises, or while it does, slip or
+# press on as the object is lifted: that is no close
+BEFORE_LIFT_NS = 120_000_000
+# m and s: the palm begins to rise within AFTER_S of the fingers' coming to rest, and is up by
+# RISES_M within RISES_S of that; ours
+RISES_M, RISES_S, AFTER_S = 0.05, 1.0, 1.0
+RISING_M = 0.005  # m, from which on it is rising
+SEEN = 0.9  # share of the trial in which the fingers must be known, to say that they never closed
+
+
+@dataclass(frozen=True)
+class Inferred:
+    """Close and lift, ns, and the period of the joint states, s; closes of earlier attempts, ns."""
+
+    close_ns: int
+    lift_ns: int
+    period_s: float
+    earlier_ns: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class NoClose:
+    """Why the fingers show no close; whether they were seen throughout; when a motion begins that
+    no lift follows, ns.
+    """
+
+    why: str
+    fingers_seen: bool
+    motion_ns: int | None = None
+
+
+def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred | NoClose:
+    """The last closing motion before the palm rises, or why the fingers show none."""
+    tips = _finger_ends(robot)
+    if len(tips) < 2:
+        return NoClose(
+            ", and no fingers that move are known "
+            "(joint states of the hand and a robot description are needed)",
+            False,
+        )
+    times, width = _width(robot, tips, first_ns, last_ns)
+    if len(times) < 20:
+        return NoClose(", and the fingers' joint states are not recorded", False)
+    seen = len(times) * STEP_NS >= SEEN * (last_ns - first_ns)
+    if float(np.ptp(width)) < LEAST_M:
+        return NoClose(", and the fingers hardly move", seen)
+    motions = _closing_motions(times, width)
+    if not motions:
+        return NoClose(", and the fingers never close", seen)
+    attempts: list[tuple[int, int]] = []  # close and lift, the last first
+    for k in reversed(range(len(motions))):
+        start, end = motions[k]
+        while k and start - motions[k - 1][1] < RESTING_NS:
+            k -= 1
+            start = motions[k][0]
+        lift = lift_after(robot, start, end, last_ns)
+        # motions before one lift are one attempt, of which the last begins it
+        if (
+            lift is not None
+            and lift - start >= BEFORE_LIFT_NS
+            and lift not in dict(attempts).values()
+        ):
+            attempts.append((start, lift))
+    if attempts:
+        period = float(np.median(np.diff(times))) * 1e-9
+        earlier = tuple(start for start, _ in attempts[:0:-1])
+        return Inferred(*attempts[0], period, earlier)
+    at = (motions[-1][0] - first_ns) * 1e-9
+    why = f"; fingers close at {at:+.2f} s, but the palm does not rise after it"
+    return NoClose(why, seen, motions[-1][0])
+
+
+def _finger_ends(robot: RobotStates) -> tuple[str, ...]:
+    """The hand's links with a shape, below which there is no other one, and that can move."""
+    description = robot.description
+    if description is None:
+        return ()
+    links = set(robot.hand_links)
+    ends = [link for link in robot.hand_links if not links & set(description.below(link)[1:])]
+
+    def moves(link: str) -> bool:
+        while link in description.joints and link in links:
+            if description.joints[link].kind != "fixed":
+                return True
+            link = description.joints[link].parent
+        return False
+
+    return tuple(link for link in ends if moves(link))
+
+
+def _width(
+    robot: RobotStates, tips: tuple[str, ...], first_ns: int, last_ns: int
+) -> tuple[NDArray[np.int64], Array]:
+    """Mean distance between the ends of the fingers, m, over time; where all are known."""
+    assert robot.description is not None
+    middle = {
+        tip: np.append(
+            np.mean([s.T_link_shape[:3, 3] for s in robot.description.shapes[tip]], axis=0), 1.0
+        )
+        for tip in tips
+    }
+    times, widths = [], []
+    root = robot.palm_frame or robot.base_frame or tips[0]
+    for t_ns in range(first_ns, last_ns + 1, STEP_NS):
+        places = []
+        for tip in tips:
+            T = robot.tree.lookup(root, tip, t_ns)
+            if T is None:
+                break
+            places.append((T @ middle[tip])[:3])
+        if len(places) == len(tips):
+            times.append(t_ns)
+            widths.append(np.mean([np.linalg.norm(a - b) for a, b in combinations(places, 2)]))
+    return np.array(times, dtype=np.int64), np.array(widths)
+
+
+def _closing_motions(times: NDArray[np.int64], width: Array) -> list[tuple[int, int]]:
+    """Start and end, ns, of the motions that narrow the hand enough."""
+    span = float(np.ptp(width))
+    kernel = np.ones(3) / 3
+    smooth = np.convolve(np.pad(width, 1, mode="edge"), kernel, mode="valid")
+    rate = np.gradient(smooth, times * 1e-9)
+    closing = rate < -MOVES_BY * span / WITHIN_S
+    out: list[tuple[int, int]] = []
+    k = 0
+    while k < len(times):
+        if not closing[k]:
+            k += 1
+            continue
+        end = k
+        for j in range(k, len(times)):
+            if closing[j]:
+                end = j
+            elif times[j] - times[end] > STILL_NS:
+                break
+        if smooth[k] - smooth[end] >= max(MOVES_BY * span, LEAST_M / 2):
+            out.append((_start(times, width, k, end), int(times[end])))
+        k = end + 1
+    return out
+
+
+def _start(times: NDArray[np.int64], width: Array, k: int, end: int) -> int:
+    """When a motion that is seen from k on began: its first steep part, carried back to the level
+    before it.
+    """
+    before = slice(max(0, k - 12), max(1, k - 2))
+    level, drop = float(np.median(width[before])), float(width[before].min() - width[end])
+    inside = np.arange(max(0, k - 3), end + 1)
+    some = next((i for i in inside if width[i] < level - 0.05 * drop), k)
+    more = next((i for i in inside if i > some and width[i] < level - 0.20 * drop), some)
+    if more == some or width[some] == width[more]:
+        return int(times[k])
+    slope = (width[more] - width[some]) / float(times[more] - times[some])
+    back = (level - width[some]) / slope
+    return int(np.clip(times[some] + back, times[max(0, k - 12)], times[some]))
+
+
+def lift_after(robot: RobotStates, close_ns: int, rest_ns: int, last_ns: int) -> int | None:
+    """When the palm begins to rise after a close, ns; None where it does not, or is not known.
+
+    rest_ns: when the fingers came to rest.
+    """
+    heights: list[tuple[int, float]] = []
+    until = rest_ns + round((AFTER_S + RISES_S) * 1e9)
+    for t_ns in range(close_ns, min(last_ns, until) + 1, STEP_NS):
+        T = robot.T_base_palm(t_ns)
+        if T is not None:
+            heights.append((t_ns, float(T[2, 3])))
+    if not heights:
+        return None
+    lowest = np.minimum.accumulate([z for _, z in heights])
+    up = next((i for i, (_, z) in enumerate(heights) if z - lowest[i] > RISES_M), None)
+    if up is None:
+        return None
+    begin = next(t for t, z in heights[: up + 1][::-1] if z - lowest[up] < RISING_M)
+    if begin - rest_ns > AFTER_S * 1e9 or heights[up][0] - begin > RISES_S * 1e9:
+        return None
+    return begin
