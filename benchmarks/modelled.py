@@ -101,7 +101,6 @@ def log_of_run(run: Run, world: World, config: Config) -> TrialLog:
         close_ns=None if run.close is None else at_ns(run.close),
         close_missing=None,
         label=None,
-        ended=True,
         damaged=False,
         robot=robot,
         hand_samples=tuple(samples),

@@ -187,6 +187,9 @@ def judge(job: Job) -> dict[str, Any]:
             th.moved_m * scale, th.moved_deg * scale, th.overlap_m * scale, 2, th.unstable_m * scale
         ),
     )
+    out["outcome"] = truth.outcome
+    if truth.outcome != "failure":  # the hand never came near
+        return out
     out.update(
         truth=truth.failure_class,
         sub=truth.sub_cause,

@@ -32,6 +32,7 @@ from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
 from dgeval.recording.splits import unread_part
 
+PART_CHECK = "parts"
 SAMPLED = 12  # frames of a trial whose depth is looked at
 MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
@@ -213,13 +214,13 @@ def part_check(recording: Path) -> list[Check]:
     gone = missing_parts(recording) if recording.is_dir() else []
     if gone:
         what = f"metadata.yaml lists {', '.join(gone)}, which is not in the folder"
-        return [Check("parts", what, "copy the whole folder")]
+        return [Check(PART_CHECK, what, "copy the whole folder")]
     other = unread_part(recording)
     if other is None:
         return []
     return [
         Check(
-            "parts",
+            PART_CHECK,
             f"{other.name} beside it is a part of the same recording, and is not read",
             "give all parts, or their folder",
         )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.geometry import Array
+from dgeval.recording.checks import PART_CHECK
 from dgeval.recording.containers.container import Opened
 from dgeval.recording.contract import (
     CLOSE_EVENT,
@@ -17,7 +18,6 @@ from dgeval.recording.contract import (
     MASK_TOPIC,
     MODEL_TOPIC,
     TARGET_TOPIC,
-    TRIAL_END_EVENT,
     VELOCITY_TOPIC,
 )
 from dgeval.recording.messages import JointSample, StampedPose, cloud_points
@@ -51,10 +51,10 @@ class TrialLog:
 
     first_ns, last_ns: first and last pair of images. limit_ns: where a manifest ends the trial.
     close_ns: the close command. close_missing: why no close is known, where that does not mean that
-    there was none. label: an operator's, success or failure. ended: the robot wrote that the trial
-    ended. damaged: not all of the recording can be read. hand_samples: joint states that hold the
-    fingers, in their own clock. max_gap_ns: longest gap in joint states that is interpolated.
-    servo_gain: 1/s, of the robot's position servo, as configured.
+    there was none. label: an operator's, success or failure. damaged: not all of the recording can
+    be read, or a part of it is not there. hand_samples: joint states that hold the fingers, in
+    their own clock. max_gap_ns: longest gap in joint states that is interpolated. servo_gain: 1/s,
+    of the robot's position servo, as configured.
     """
 
     first_ns: int
@@ -63,7 +63,6 @@ class TrialLog:
     close_ns: int | None
     close_missing: str | None
     label: str | None
-    ended: bool
     damaged: bool
     robot: RobotStates
     hand_samples: tuple[JointSample, ...]
@@ -93,8 +92,7 @@ def log_of(trial: Trial) -> TrialLog:
         trial.event_ns(CLOSE_EVENT),
         trial.close.missing,
         label,
-        trial.event_ns(TRIAL_END_EVENT) is not None,
-        bool(trial.damage),
+        bool(trial.damage) or any(check.name == PART_CHECK for check in trial.checks),
         trial.robot,
         trial.robot.samples,
         round(trial.config.sync.max_pose_gap_s * 1e9),

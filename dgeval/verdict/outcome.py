@@ -60,7 +60,7 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
             return Ended(
                 "incomplete",
                 None,
-                "the recording is damaged and what can be read of it has no close",
+                "a part of the recording is damaged or missing, and what can be read has no close",
             )
         if log.close_missing is not None:
             return Ended("unknown", None, log.close_missing)

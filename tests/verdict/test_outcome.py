@@ -49,6 +49,7 @@ def trial(
     end_s: float | None = None,
     damage: Sequence[str] = (),
     missing: str | None = None,
+    checks: Sequence[str] = (),
     palm_known: float = 1.0,
     palm_speed: float = 0.1,
 ) -> Any:
@@ -73,6 +74,7 @@ def trial(
         config=Config(),
         opened=None,
         close=SimpleNamespace(missing=missing),
+        checks=[SimpleNamespace(name=name) for name in checks],
     )
 
 
@@ -187,10 +189,13 @@ def test_fingers_that_are_not_known_are_no_answer() -> None:
 def test_damage_goes_before_what_is_missing() -> None:
     """Catches a close that can't be read taken for one that never came."""
     told = Ended(
-        "incomplete", None, "the recording is damaged and what can be read of it has no close"
+        "incomplete",
+        None,
+        "a part of the recording is damaged or missing, and what can be read has no close",
     )
     assert outcome(trial([END], closed=False, damage=["torn"]), None) == told
     assert outcome(trial(closed=False, damage=["torn"]), None) == told
+    assert outcome(trial(closed=False, checks=["parts"]), near_to(0.5)) == told
     assert outcome(trial(joints=EMPTY, damage=["torn"]), None).outcome == "failure", (
         "the close was read"
     )

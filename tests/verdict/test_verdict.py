@@ -513,7 +513,6 @@ def test_what_put_the_palm_off_is_told_apart(masked: bool, closed: bool) -> None
         close_ns,
         None,
         None,
-        True,
         False,
         robot,
         (),
