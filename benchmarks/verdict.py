@@ -289,10 +289,12 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
 
     It holds outcome, classes with baselines and parts, confusion, calibration and sub-cause.
     """
-    ended = sum(r["outcome_said"] == r["outcome"] for r in rows)
-    low, high = wilson(ended, len(rows))
+    # without a close the outcome hangs on hindsight, which is not in these rows
+    closed = [r for r in rows if r["closed"]]
+    ended = sum(r["outcome_said"] == r["outcome"] for r in closed)
+    low, high = wilson(ended, len(closed))
     lines = [
-        f"Outcome without labels: {ended} of {len(rows)} right ({ended / len(rows):.1%}) "
+        f"Outcome without labels: {ended} of {len(closed)} right ({ended / len(closed):.1%}) "
         f"[{low:.1%}, {high:.1%}]"
     ]
     failed = [r for r in rows if "truth" in r]
