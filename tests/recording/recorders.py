@@ -14,9 +14,28 @@ from dgeval.config import Config, load_config
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import Trial, open_trial
 from mcap.writer import Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 STORE, ROS1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
+VISION_MSGS = {
+    "Point2D": "float64 x\nfloat64 y",
+    "Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
+    "BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y",
+    "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
+    "ObjectHypothesis": "string class_id\nfloat64 score",
+    "ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis\n"
+    "geometry_msgs/PoseWithCovariance pose",
+    "Detection2D": "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+    "vision_msgs/BoundingBox2D bbox\nstring id",
+    "Detection3D": "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+    "vision_msgs/BoundingBox3D bbox\nstring id",
+    "Detection2DArray": "std_msgs/Header header\nvision_msgs/Detection2D[] detections",
+    "Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
+}
+
+
+for _name, _text in VISION_MSGS.items():
+    STORE.register(get_types_from_msg(_text, f"vision_msgs/msg/{_name}"))
 TYPES = STORE.types
 COLOUR = "/camera/color/image_raw/compressed"
 DEPTH = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
@@ -115,3 +134,17 @@ def rvl_words(codes: np.ndarray) -> bytes:
     words = [sum(n << (28 - 4 * k) for k, n in enumerate(nibbles[j : j + 8]))
              for j in range(0, len(nibbles), 8)]  # fmt: skip
     return struct.pack(f"<{len(words)}I", *words)
+
+
+def of(name: str, **fields: Any) -> Any:
+    return TYPES[f"vision_msgs/msg/{name}"](**fields)
+
+
+def flat(header: Any, *boxes: tuple[float, float, float, float]) -> Any:
+    """A Detection2DArray; x0 y0 x1 y1 px."""
+    listed = []
+    for x0, y0, x1, y1 in boxes:
+        at = of("Pose2D", position=of("Point2D", x=(x0 + x1) / 2, y=(y0 + y1) / 2), theta=0.0)
+        box = of("BoundingBox2D", center=at, size_x=x1 - x0, size_y=y1 - y0)
+        listed.append(of("Detection2D", header=header, results=[], bbox=box, id=""))
+    return of("Detection2DArray", header=header, detections=listed)

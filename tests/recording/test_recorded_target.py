@@ -15,53 +15,16 @@ import numpy as np
 import pytest
 from dgeval.config import Config
 from dgeval.replay.target_search import search_target
-from rosbags.typesys import get_types_from_msg
-from tests.recording.recorders import COLOUR, STORE, TYPES, Message, image, opened, write
+from tests.recording.recorders import COLOUR, STORE, TYPES, Message, flat, image, of, opened, write
 
 CAMERA = "camera_color_optical_frame"
 BOX = (170.0, 70.0, 250.0, 150.0)  # px, of the second thing that is marked
-FIELDS = {
-    "Point2D": "float64 x\nfloat64 y",
-    "Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
-    "BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y",
-    "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
-    "ObjectHypothesis": "string class_id\nfloat64 score",
-    "ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis\n"
-    "geometry_msgs/PoseWithCovariance pose",
-    "Detection2D": "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
-    "vision_msgs/BoundingBox2D bbox\nstring id",
-    "Detection3D": "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
-    "vision_msgs/BoundingBox3D bbox\nstring id",
-    "Detection2DArray": "std_msgs/Header header\nvision_msgs/Detection2D[] detections",
-    "Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
-}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def vision_msgs() -> None:
-    for name, text in FIELDS.items():
-        if f"vision_msgs/msg/{name}" not in STORE.fielddefs:
-            STORE.register(get_types_from_msg(text, f"vision_msgs/msg/{name}"))
 
 
 @pytest.fixture(scope="module")
 def unmarked(messages: list[Message]) -> list[Message]:
     """The demo without the robot's own mask."""
     return [m for m in messages if m[1] != "/dgeval/belief/mask"]
-
-
-def of(name: str, **fields: Any) -> Any:
-    return TYPES[f"vision_msgs/msg/{name}"](**fields)
-
-
-def flat(header: Any, *boxes: tuple[float, float, float, float]) -> Any:
-    """A Detection2DArray; x0 y0 x1 y1 px."""
-    listed = []
-    for x0, y0, x1, y1 in boxes:
-        at = of("Pose2D", position=of("Point2D", x=(x0 + x1) / 2, y=(y0 + y1) / 2), theta=0.0)
-        box = of("BoundingBox2D", center=at, size_x=x1 - x0, size_y=y1 - y0)
-        listed.append(of("Detection2D", header=header, results=[], bbox=box, id=""))
-    return of("Detection2DArray", header=header, detections=listed)
 
 
 def with_marks(

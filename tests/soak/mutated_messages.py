@@ -34,7 +34,7 @@ from dgeval.recording.robot import robot_states
 from dgeval.recording.roles import find_roles, image_topics
 from dgeval.recording.scan import scan
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
-from tests.recording.recorders import STORE, TYPES, rvl_words
+from tests.recording.recorders import STORE, TYPES, flat, rvl_words
 from tests.recording.test_cdr2 import encoded
 
 W, H, N = 64, 48, 6
@@ -46,6 +46,7 @@ COLOUR, DEPTH, INFO, JOINTS = (
     "/joint_states",
 )
 TF, EVENTS = "/tf", "/dgeval/events"
+DETECTIONS, GOALS = "/detections", "/gripper/_action/status"
 Listed = list[tuple[str, int, str, Any]]  # topic, time ns, type, message
 
 
@@ -106,8 +107,36 @@ def recording(colour: str = "rgb8", depth: str = "16UC1") -> Listed:
         )  # fmt: skip
         tf = TYPES["tf2_msgs/msg/TFMessage"](transforms=[transform])
         out.append((TF, t, "tf2_msgs/msg/TFMessage", tf))
+        detected = flat(header(t, "cam"), (10.0, 8.0, 30.0, 28.0))
+        out.append((DETECTIONS, t, "vision_msgs/msg/Detection2DArray", detected))
+        goal = TYPES["action_msgs/msg/GoalInfo"](
+            goal_id=TYPES["unique_identifier_msgs/msg/UUID"](uuid=np.full(16, k, np.uint8)),
+            stamp=TYPES["builtin_interfaces/msg/Time"](sec=t // 10**9, nanosec=t % 10**9),
+        )
+        state = TYPES["action_msgs/msg/GoalStatus"](goal_info=goal, status=2)
+        states = TYPES["action_msgs/msg/GoalStatusArray"](status_list=[state])
+        out.append((GOALS, t, "action_msgs/msg/GoalStatusArray", states))
     text = TYPES["std_msgs/msg/String"](data='{"event": "close"}')
     out.append((EVENTS, START + STEP, "std_msgs/msg/String", text))
+    return out
+
+
+def as_video(listed: Listed, gop: int) -> Listed:
+    """With colour as H.264, of which every gop-th picture stands alone."""
+    from tests.recording.test_video import encoded as video
+
+    pictures = [
+        np.tile(np.linspace(20 * k, 80 + 20 * k, W)[None, :, None], (H, 1, 3)).astype(np.uint8)
+        for k in range(N)
+    ]
+    packets = iter(video(pictures, gop))
+    out: Listed = []
+    for topic, t, kind, value in listed:
+        if topic == COLOUR:
+            kind = "sensor_msgs/msg/CompressedImage"
+            data = np.frombuffer(next(packets), np.uint8)
+            value = TYPES[kind](header=header(t, "cam"), format="h264", data=data)
+        out.append((topic, t, kind, value))
     return out
 
 
@@ -192,6 +221,8 @@ def container(listed: Listed, how: str) -> InMemory:
             key, encoding = ("protobuf", "protobuf"), "protobuf"
         else:
             data = bytes(STORE.serialize_cdr(value, kind))
+        if key == ("cdr", "") and kind.startswith("vision_msgs"):
+            key, schema = ("cdr", "ros2msg"), STORE.generate_msgdef(kind, ros_version=2)[0].encode()
         if topic not in topics:
             decode = decoders()[key](name, schema)
             if foxglove.ros_type(name) != name:
@@ -247,6 +278,8 @@ CASES: dict[str, Callable[[], InMemory]] = {
     "json": lambda: container(recording(), "json"),
     "protobuf": lambda: container(recording(), "protobuf"),
     "rvl": lambda: container(recording(depth="rvl"), "cdr"),
+    "h264": lambda: container(as_video(recording(), 1), "cdr"),
+    "h264, later pictures need earlier ones": lambda: container(as_video(recording(), 30), "cdr"),
     **{
         name: (lambda name=name: container(recording(name), "cdr"))
         for name in ("uyvy", "nv24", "bayer_rggb8", "rgb16")
@@ -254,8 +287,8 @@ CASES: dict[str, Callable[[], InMemory]] = {
 }
 
 
-def fault(made: InMemory, whole: dict[int, str], seed: int) -> str | None:
-    """What is wrong after one mutation; None where all is well."""
+def fault(made: InMemory, whole: dict[int, str], seed: int, needed: bool = False) -> str | None:
+    """What is wrong after one mutation; None where all is well. needed: by later pictures."""
     rng = np.random.default_rng(seed)
     k = int(rng.integers(len(made.stored)))
     hit = made.stored[k]
@@ -271,7 +304,10 @@ def fault(made: InMemory, whole: dict[int, str], seed: int) -> str | None:
         if hit.topic == INFO or got == whole:
             return None
         return "a message that is no image changed frames"
-    lost = {t for t in whole if t != hit.log_ns and t in got and got[t] != whole[t]}
+    last_ns = max(whole)
+    # of a picture that others need, the later ones may change
+    until = hit.log_ns if needed and hit.topic == COLOUR else last_ns
+    lost = {t for t in whole if t != hit.log_ns and t <= until and t in got and got[t] != whole[t]}
     return f"frames at {sorted(lost)} changed" if lost else None
 
 
@@ -283,7 +319,10 @@ def main() -> int:
     for name, make in CASES.items():
         made = make()
         whole = frames_of(made)
-        found = [(seed, what) for seed in range(count) if (what := fault(made, whole, seed))]
+        needed = "later" in name
+        found = [
+            (seed, what) for seed in range(count) if (what := fault(made, whole, seed, needed))
+        ]
         wrong += len(found)
         print(f"{name}: {count} mutations, {len(found)} wrong {found[:3]}", flush=True)
     return int(wrong > 0)
