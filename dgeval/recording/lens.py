@@ -18,7 +18,12 @@ from dgeval.recording.messages import CameraModel
 
 LEAST_PX = 0.5  # px, that distortion moves a pixel by at least, to be taken out
 # distortion_model of sensor_msgs/CameraInfo -> how many coefficients it may have
-POLYNOMIAL = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "": (4, 5, 8, 12, 14)}
+POLYNOMIAL = {
+    "plumb_bob": (4, 5),
+    "brown conrady": (5,),
+    "rational_polynomial": (8, 12, 14),
+    "": (4, 5, 8, 12, 14),
+}
 FISHEYE = {"equidistant": (4,), "fisheye": (4,), "kannala_brandt": (4,)}
 RADII = 400  # at which the lens is tried for folding back
 

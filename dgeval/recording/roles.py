@@ -16,6 +16,7 @@ from dgeval.recording.namespaces import Series, differ, namespace_of, of_camera
 from dgeval.recording.scan import ImageHead, Scan
 from dgeval.recording.video import EXTRA, is_available
 
+SAME_MATRIX = 0.02  # share; two cameras whose matrices differ by less are one; ours
 SAME_JOINT = 0.02  # rad or m; two topics that differ by less give one joint's position; ours
 MASK_ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1")
 # parts of a topic's name that rule it out as the camera or a state of the robot
@@ -136,10 +137,20 @@ def _target_topic(scan: Scan, colour: str | None) -> str | None:
 
 
 def aligned(scan: Scan, colour: str, depth: str) -> bool:
-    """Whether a depth topic has the pixels of a colour topic; also where one can't be read."""
+    """Whether a depth topic has the pixels of a colour topic; also where one can't be read.
+
+    One frame and one size are not enough where each has intrinsics of its own, and they differ.
+    """
     if colour not in scan.images or depth not in scan.images:
         return True
-    return is_aligned(scan.images[colour], scan.images[depth])
+    if not is_aligned(scan.images[colour], scan.images[depth]):
+        return False
+    own = [intrinsics_of(scan, scan.images, name) for name in (colour, depth)]
+    if None in own or own[0] == own[1]:
+        return True
+    a, b = (scan.cameras[name].intrinsics for name in own if name is not None)
+    matrix = np.array([[k.fx, k.fy, k.cx, k.cy] for k in (a, b)])
+    return bool((np.abs(matrix[0] - matrix[1]) <= SAME_MATRIX * matrix[0]).all())
 
 
 def _of_camera(scan: Scan, name: str, colour_frame: str) -> bool:

@@ -6,7 +6,6 @@ per message and no image, so memory does not grow with the size of images.
 
 from __future__ import annotations
 
-import re
 import struct
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.errors import Damage, Place, UndecodableError
-from dgeval.geometry import Array
+from dgeval.geometry import Array, invert, matrix_from_pose, pose_from_matrix
 from dgeval.recording.clocks import RecorderClock, recorder_clock
 from dgeval.recording.containers.container import Opened, RawMessage
 from dgeval.recording.contract import (
@@ -29,6 +28,13 @@ from dgeval.recording.contract import (
 from dgeval.recording.detections import DETECTION_TYPES, Detection, detections_of
 from dgeval.recording.grippers import GOALS, goals_of, is_gripper_topic, number_of
 from dgeval.recording.images import decode_image
+from dgeval.recording.librealsense import (
+    STREAM_POSE_TYPE,
+    StreamAt,
+    frame_time_ns,
+    pose_of_transform,
+    stream_of,
+)
 from dgeval.recording.messages import (
     CAMERA_INFO,
     IMAGE_TYPES,
@@ -58,7 +64,6 @@ NOT_USABLE = (
     OverflowError,
     struct.error,
 )
-FRAME_TIME = re.compile(r"(?:^|;)timestamp=([0-9.]+)")  # ms, in librealsense's metadata
 STAMPED = (
     IMAGE_TYPES
     | POSE_TYPES
@@ -153,6 +158,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
     videos: dict[str, VideoDecoder] = {}
     frame_times: dict[str, dict[int, int]] = defaultdict(dict)
     goals: dict[str, set[bytes]] = defaultdict(set)
+    streams: dict[StreamAt, Array] = {}
     for message in opened.messages():
         topic = opened.topics[message.topic]
         times = out.times[message.topic]
@@ -203,10 +209,12 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             elif message.topic.endswith(DEPTH_UNIT):
                 out.depth_units[message.topic] = round(float(opened.decode(message).data), 9)
             elif topic.type == "std_msgs/msg/String" and message.topic.endswith(IMAGE_METADATA):
-                found = FRAME_TIME.search(opened.decode(message).data)
-                if found is not None:
+                t_ns = frame_time_ns(opened.decode(message).data)
+                if t_ns is not None:
                     stream = message.topic.removesuffix("metadata")
-                    frame_times[stream][message.log_ns] = round(float(found[1]) * 1e6)
+                    frame_times[stream][message.log_ns] = t_ns
+            elif topic.type == STREAM_POSE_TYPE and (stream_at := stream_of(message.topic)):
+                streams[stream_at] = pose_of_transform(opened.decode(message))
             elif topic.type == "std_msgs/msg/String":
                 text = opened.decode(message).data
                 if message.topic == wanted_events:
@@ -234,6 +242,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             out.undecodable[message.topic] += 1
             out.first_undecodable.setdefault(message.topic, str(error))
     _use_frame_times(out, frame_times)
+    _place_streams(out, streams)
     _onto_the_stamps_clock(out)
     out.events.sort(key=lambda e: e.t_ns)
     for name in sorted(out.undecodable):
@@ -259,6 +268,26 @@ def _use_frame_times(found: Scan, frame_times: dict[str, dict[int, int]]) -> Non
             times = found.times[name]
             if name.startswith(stream) and all(t in by_log for t in times.log_ns):
                 times.header_ns = [by_log[t] for t in times.log_ns]
+
+
+def _place_streams(found: Scan, streams: dict[StreamAt, Array]) -> None:
+    """Frames of the streams of a librealsense .bag, which all call theirs "0", and where they are.
+
+    streams: by stream, its reference's pose in it, px py pz qx qy qz qw.
+    """
+    heard = found.tf[namespace_of("/tf_static")] if streams else Transforms()
+    for at, pose in sorted(streams.items()):
+        image, info = f"{at.prefix}/image/data", f"{at.prefix}/info/camera_info"
+        head = found.images.get(image)
+        if head is None or (head.frame_id and not head.frame_id.isdigit()):
+            continue
+        frame = at.prefix.lstrip("/")
+        found.images[image] = replace(head, frame_id=frame)
+        if info in found.cameras:
+            found.cameras[info] = replace(found.cameras[info], frame_id=frame)
+        inverse = pose_from_matrix(invert(matrix_from_pose(pose)))
+        heard.static.append(StampedPose(0, at.reference, frame, inverse))
+        heard.is_static[frame] = True
 
 
 def _onto_the_stamps_clock(found: Scan) -> None:

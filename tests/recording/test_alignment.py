@@ -6,10 +6,15 @@ axis, a background that shines through what is in front of it, and cracks.
 
 from __future__ import annotations
 
+import copy
+from pathlib import Path
+
 import numpy as np
 import pytest
 from dgeval.geometry import Array, Intrinsics, increment
 from dgeval.recording.alignment import Alignment
+from tests.recording.recorders import DEPTH as DEPTH_TOPIC
+from tests.recording.recorders import INFO, Message, opened, write
 
 DEPTH = Intrinsics(424, 240, 213.0, 212.0, 210.6, 121.3)
 COLOUR = Intrinsics(640, 480, 612.0, 611.0, 322.4, 236.8)
@@ -88,3 +93,20 @@ def test_the_mount_matters() -> None:
     true = seen(COLOUR, T)
     both = np.isfinite(true) & (aligned > 0)
     assert np.median(np.abs(aligned - true)[both]) > 0.005
+
+
+def test_one_frame_with_two_matrices_is_not_aligned(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where depth with intrinsics of its own is laid on colour pixel by pixel, since both
+    bear one frame's name and one size.
+    """
+    listed = list(messages)
+    for m in messages:
+        if m[1] == INFO:
+            other = copy.deepcopy(m[3])
+            other.k = other.k * np.array([0.7, 1, 1, 1, 0.7, 1, 1, 1, 1])
+            listed.append([m[0], DEPTH_TOPIC.rsplit("/", 2)[0] + "/camera_info", m[2], other])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert trial.reader.camera.alignment is not None
+    assert trial.reader.camera.alignment.depth.fx == pytest.approx(0.7 * trial.camera.fx)

@@ -84,3 +84,46 @@ def test_with_a_time_missing_the_stamps_stay(tmp_path: Path, messages: list[Mess
     found = scan(open_container(write(tmp_path / "a.mcap", made)))
     header, _ = found.times[STREAMS[COLOUR] + "data"].arrays()
     assert header.max() < 10**10
+
+
+def test_streams_of_a_bag_are_not_one_camera(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where depth of a .bag is taken for aligned, since all its frames are called "0", or its
+    poses for their inverse: as librealsense 2.57.7 writes a turned and shifted colour camera.
+
+    There a point (0.1, 0.2, 1) m of the depth camera is at (0.0514296, 0.2406193, 0.99) m in
+    colour, by its own rs2_transform_point_to_point.
+    """
+    quaternion = TYPES["geometry_msgs/msg/Quaternion"]
+    vector, kind = TYPES["geometry_msgs/msg/Vector3"], "geometry_msgs/msg/Transform"
+    poses = {
+        "/device_0/sensor_0/Depth_0": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -1.0)),
+        "/device_0/sensor_1/Color_0": (
+            (0.014999999664723873, 0.019999999552965164, -0.009999999776482582),
+            (0.0, 0.0, -0.14943814277648926, -0.9887710809707642),
+        ),
+    }
+    first = min(m[0] for m in messages)
+    listed = []
+    for log_ns, topic, type_name, value in messages:
+        if topic not in (COLOUR, DEPTH, INFO):
+            continue
+        value = copy.deepcopy(value)
+        value.header.frame_id = "0"
+        if topic == INFO:
+            listed += [[log_ns, f"{p}/info/camera_info", type_name, value] for p in poses]
+        elif topic == DEPTH:
+            codes = image(value, depth_codes(value), "mono16")
+            listed.append([log_ns, STREAMS[DEPTH] + "data", "sensor_msgs/msg/Image", codes])
+        else:
+            listed.append([log_ns, STREAMS[COLOUR] + "data", type_name, value])
+    for prefix, (xyz, xyzw) in poses.items():
+        x, y, z, w = xyzw
+        pose = TYPES[kind](
+            translation=vector(x=xyz[0], y=xyz[1], z=xyz[2]),
+            rotation=quaternion(x=x, y=y, z=z, w=w),
+        )
+        listed.append([first, f"{prefix}/tf/1", kind, pose])
+    alignment = opened(write(tmp_path / "a.mcap", listed)).reader.camera.alignment
+    assert alignment is not None
+    there = alignment.T_colour_depth @ [0.1, 0.2, 1.0, 1.0]
+    np.testing.assert_allclose(there[:3], [0.0514296, 0.2406193, 0.99], atol=1e-6)
