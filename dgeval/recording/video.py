@@ -63,43 +63,49 @@ class VideoDecoder:
     """Decodes the messages of one topic in their order. ImportError without the extra."""
 
     def __init__(self, codec: str) -> None:
+        self._codec = codec
+        self._given = 0
+        self._context = self._fresh()
+
+    def _fresh(self) -> Any:
         import av
 
-        self._context: Any = av.CodecContext.create(DECODERS.get(codec, codec), "r")
-        self._context.thread_count = 1
-        self._given = 0
+        context = av.CodecContext.create(DECODERS.get(self._codec, self._codec), "r")
+        context.thread_count = 1
+        return context
 
     def feed(self, data: bytes) -> Iterator[tuple[int, Picture]]:
         """Pictures that a further message completes, each with its message's number from 0.
 
-        A message that can't be decoded, as one before the first key frame, gives none.
+        A message that can't be decoded, as one before the first key frame, gives none; nor do those
+        after it that need it. Nothing is put in their place from the pictures before.
         """
         import av
 
         packet = av.Packet(data)
         packet.pts = self._given
         self._given += 1
-        try:
-            frames = list(self._context.decode(packet))
-        except (av.FFmpegError, ValueError):
-            return
-        yield from _pictures(frames)
+        yield from self._pictures(packet)
 
     def rest(self) -> Iterator[tuple[int, Picture]]:
         """Pictures that were still waited for after the last message."""
+        yield from self._pictures(None)
+
+    def _pictures(self, packet: Any) -> Iterator[tuple[int, Picture]]:
         import av
 
         try:
-            frames = list(self._context.decode(None))
+            frames = list(self._context.decode(packet))
         except (av.FFmpegError, ValueError, EOFError):
-            return
-        yield from _pictures(frames)
-
-
-def _pictures(frames: list[Any]) -> Iterator[tuple[int, Picture]]:
-    for frame in frames:
-        if frame.pts is not None and frame.format.name in PLANES:
-            yield int(frame.pts), _rgb(frame)
+            frames, is_broken = [], True
+        else:
+            is_broken = any(frame.is_corrupt for frame in frames)
+        for frame in frames:
+            if frame.pts is not None and frame.format.name in PLANES and not frame.is_corrupt:
+                yield int(frame.pts), _rgb(frame)
+        if is_broken:
+            # what a decoder keeps of a broken message changes pictures that don't need it
+            self._context = self._fresh()
 
 
 def _rgb(frame: Any) -> Picture:

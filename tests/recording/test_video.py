@@ -165,3 +165,25 @@ def test_without_the_extra_the_message_names_it(
         monkeypatch.setattr(f"dgeval.recording.{name}.is_available", lambda: False)
     with pytest.raises(UnreadableError, match=r"dgeval\[video\]"):
         opened(write(tmp_path / "v.mcap", as_video(messages, 1)))
+
+
+def test_a_damaged_picture_is_lost_and_harms_no_other() -> None:
+    """Fails where the decoder puts the picture before in its place, or where what it keeps of the
+    damage changes a picture that stands alone.
+    """
+    pictures = moving()
+    packets = encoded(pictures, 1)
+
+    def decoded(given: list[bytes]) -> dict[int, np.ndarray]:
+        decoder = VideoDecoder("h264")
+        got = dict(pair for packet in given for pair in decoder.feed(packet))
+        return got | dict(decoder.rest())
+
+    whole = decoded(packets)
+    for at in range(40, len(packets[4]), 11):
+        damaged = packets[4][:at] + bytes(8) + packets[4][at + 8 :]
+        got = decoded([*packets[:4], damaged, *packets[5:]])
+        assert got.keys() - {4} == whole.keys() - {4}
+        assert all((got[k] == whole[k]).all() for k in got if k != 4)
+        if 4 in got:  # what the change left whole
+            assert abs(float(got[4][..., 0].mean()) - float(whole[3][..., 0].mean())) > 3
