@@ -271,8 +271,8 @@ def _use_frame_times(found: Scan, frame_times: dict[str, dict[int, int]]) -> Non
 
 
 def _place_streams(found: Scan, streams: dict[StreamAt, Array]) -> None:
-    """Frames of the streams of a librealsense .bag, and where they are. It calls all those of a group
-    by the group's number.
+    """Frames of the streams of a librealsense .bag, which calls all those of a group by the group's
+    number, and where they are.
 
     streams: by stream, its reference's pose in it, px py pz qx qy qz qw.
     """
