@@ -277,6 +277,7 @@ def trial_row(
         "t_close_ns": trial.event_ns(CLOSE_EVENT),
         "close_source": trial.close.source,
         "t_fingers_ns": trial.close.fingers_ns,
+        "cause_given": spec.cause,
         "t_decisive_ns": judgement.decisive_ns,
         "contact_link": judgement.link,
         "notes": "; ".join(
@@ -284,12 +285,21 @@ def trial_row(
                 *trial_notes(trial, config, counts),
                 *target_note(trial, target),
                 *map(str, of_target),
+                *_other_word(spec.cause, judgement),
                 *judgement.notes,
             ]
         ),
         **asdict(judgement.row),
     }
     return row, exit_code, messages
+
+
+def _other_word(given: str | None, judgement: Judgement) -> list[str]:
+    """A note where an operator's word for the cause is another than the verdict's."""
+    found = judgement.row.failure_class
+    if given is None or found in (None, "unknown", given):
+        return []
+    return [f"an operator says {given}, the verdict {found}"]
 
 
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:

@@ -96,12 +96,15 @@ def test_every_trial_column_is_filled_or_left_to_a_named_issue() -> None:
     verdict: Any = dict.fromkeys((f.name for f in fields(VerdictRow)), "x")
     judgement = Judgement(VerdictRow(**verdict), 3, "palm")
     trial = trial_of()
-    spec = TrialSpec("a", trial.spec.recording, 1, 2, object="mug", scenario="s", speed=0.1)
+    spec = TrialSpec(
+        "a", trial.spec.recording, 1, 2, object="mug", scenario="s", speed=0.1, cause="timing"
+    )
     trial = replace(trial, spec=spec)
     row, _, _ = trial_row(trial, load_config("dynamic", ()), FrameCounts(), 2, 3, judgement)
     row |= {f"digest_{stage}": value for stage, value in StageDigests().hexdigests().items()}
     names = {c.name for c in TRIALS}
     assert set(filled(row)) == names - UNFILLED.keys()
+    assert "an operator says timing, the verdict x" in row["notes"], "two words for one cause"
     assert UNFILLED.keys() < names
     assert all(UNFILLED.values())
 
