@@ -7,6 +7,8 @@ repeated twenty times.
 
     python -m benchmarks.reading datasets/demo.mcap
     python -m benchmarks.reading --memory datasets/demo.mcap
+    python -m benchmarks.reading --memory --colour video datasets/demo.mcap
+    python -m benchmarks.reading --memory --colour protobuf datasets/demo.mcap
 """
 
 from __future__ import annotations
@@ -19,9 +21,12 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+import av
 import cv2
 import numpy as np
 from dgeval.config import Config
@@ -33,6 +38,7 @@ from dgeval.recording.trials import Trial, open_trial
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
+from tests.soak.mutated_messages import raw_image_type
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 PNG = b"\x89PNG"
@@ -105,6 +111,53 @@ def repeated(path: Path, out: Path, times: int) -> None:
         writer.finish()
 
 
+def with_colour(path: Path, out: Path, how: str) -> Path:
+    """The recording with its colour as H.264, or as foxglove.RawImage in protobuf."""
+    kind = "sensor_msgs/msg/CompressedImage"
+    made, schema = raw_image_type()
+    context: Any = None
+    with path.open("rb") as stream, out.open("wb") as written:
+        writer = Writer(written)
+        writer.start(profile="ros2", library="benchmark")
+        channels: dict[str, int] = {}
+        for old, channel, message in make_reader(stream).iter_messages():
+            if old is None:
+                continue
+            is_colour = channel.topic.endswith("color/image_raw/compressed")
+            data, encoding, name = message.data, channel.message_encoding, old.name
+            text, of = old.data, old.encoding
+            if is_colour:
+                value = STORE.deserialize_cdr(data, kind)
+                pixels = cv2.imdecode(np.asarray(value.data, np.uint8), cv2.IMREAD_COLOR)
+                stamp = value.header.stamp
+                if how == "protobuf":
+                    image = made(
+                        frame_id=value.header.frame_id, width=pixels.shape[1],
+                        height=pixels.shape[0], encoding="bgr8", step=3 * pixels.shape[1],
+                        data=pixels.tobytes(),
+                    )  # fmt: skip
+                    image.timestamp.seconds, image.timestamp.nanos = stamp.sec, stamp.nanosec
+                    data, encoding = image.SerializeToString(), "protobuf"
+                    name, text, of = "foxglove.RawImage", schema, "protobuf"
+                else:
+                    if context is None:
+                        context = av.CodecContext.create("libx264", "w")
+                        context.width, context.height = pixels.shape[1], pixels.shape[0]
+                        context.pix_fmt, context.time_base = "yuv420p", Fraction(1, 30)
+                        context.options = {"tune": "zerolatency", "preset": "ultrafast"}
+                    frame = av.VideoFrame.from_ndarray(pixels, format="bgr24")
+                    packet = b"".join(bytes(p) for p in context.encode(frame))
+                    value.format, value.data = "h264", np.frombuffer(packet, np.uint8)
+                    data = bytes(STORE.serialize_cdr(value, kind))
+            if channel.topic not in channels:
+                register = writer.register_schema(name, of, text)
+                channels[channel.topic] = writer.register_channel(channel.topic, encoding, register)
+            at = message.log_time
+            writer.add_message(channels[channel.topic], at, data, at)
+        writer.finish()
+    return out
+
+
 def peak_mb(path: Path) -> float:
     """Peak memory of a fresh process that reads the whole file, MB."""
     code = (
@@ -130,6 +183,7 @@ def main() -> None:
     parser.add_argument("files", nargs="+", type=Path)
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--memory", action="store_true")
+    parser.add_argument("--colour", choices=["video", "protobuf"], help="write colour so first")
     args = parser.parse_args()
     limit_threads()
     for path in args.files:
@@ -137,6 +191,9 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 long = Path(folder) / "long.mcap"
                 repeated(path, long, 20)
+                if args.colour:
+                    long = with_colour(long, Path(folder) / "long2.mcap", args.colour)
+                    path = with_colour(path, Path(folder) / path.name, args.colour)
                 print(
                     f"{path.name}: {peak_mb(path):.0f} MB, 20 times as long {peak_mb(long):.0f} MB"
                 )
