@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,8 @@ from dgeval.recording.roles import Roles, joint_topics, merged_joints
 from dgeval.recording.scan import Scan, Transforms
 from dgeval.recording.transforms import TransformTree
 from dgeval.robots.description import Description, Joint, LinkShape, load_description
-from dgeval.robots.hand import Hand, hand_of
+from dgeval.robots.hand import Hand
+from dgeval.robots.recognition import known_hand
 
 # names of the robot's base in common descriptions, in order of preference
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
@@ -86,12 +88,10 @@ class RobotStates:
     hands: tuple[str, ...] = ()
     samples: tuple[JointSample, ...] = ()
 
-    @property
+    @cached_property
     def hand(self) -> Hand | None:
         """The hand of the description; None without a description, or of an unknown hand."""
-        if self.description is None:
-            return None
-        return hand_of({j.name for j in self.description.joints.values()})
+        return None if self.description is None else known_hand(self.description)[0]
 
     def T_base_camera(self, t_ns: int) -> Array | None:
         if self.base_frame is None:
@@ -153,6 +153,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     description = _description(scan, roles, joints, config, notes)
     if description is not None:
         notes.extend(description.notes)
+        notes.extend(note for note in known_hand(description)[1:] if note)
         _add_joints(tree, description, joints, max_gap_ns)
     if config.calibration.T_flange_camera is not None:
         if config.calibration.flange is None:

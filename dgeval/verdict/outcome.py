@@ -13,7 +13,6 @@ from dgeval.failure_rule import Outcome, OutcomeSource, outcome_without_close
 from dgeval.geometry import transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
-from dgeval.recording.messages import JointSample
 from dgeval.recording.robot import RobotStates
 from dgeval.robots.hand import hands
 from dgeval.verdict.log import TrialLog
@@ -74,7 +73,7 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
             None,
             f"the log ends {max(0.0, (last_ns - close_ns) * 1e-9):.1f} s after the close",
         )
-    fingers = _pressing(log.hand_samples, last_ns)
+    fingers = _pressing(log, last_ns)
     seen = _seen_after(log.robot, hindsight, close_ns)
     if fingers is None and seen is None:
         return Ended(
@@ -108,11 +107,16 @@ def _without_close(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     return Ended(outcome, "inferred", why, 0.0 if outcome == "failure" else None)
 
 
-def _pressing(hand_samples: tuple[JointSample, ...], last_ns: int) -> tuple[bool, str] | None:
-    """What the fingers say at the end; None without the signals of a known hand."""
+def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | None:
+    """What the fingers say at the end; None without the signals of a known hand.
+
+    Names of joints tell the hand only where no description says more.
+    """
     first_ns = last_ns - round(LAST_S * 1e9)
-    samples = [s for s in hand_samples if first_ns <= s.t_ns <= last_ns]
-    for hand in hands():
+    samples = [s for s in log.hand_samples if first_ns <= s.t_ns <= last_ns]
+    described = log.robot.description is not None
+    known = ([log.robot.hand] if log.robot.hand is not None else []) if described else hands()
+    for hand in known:
         grip = hand.grip
         values = [s.positions if grip.signal == "position" else s.efforts for s in samples]
         rows = [[v[n] for n in grip.joints] for v in values if all(n in v for n in grip.joints)]

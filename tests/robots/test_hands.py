@@ -89,7 +89,7 @@ def test_nothing_else_knows_a_finger() -> None:
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
                 "dgeval.robots."
             ):
-                allowed = ("hand", "mjcf", "urdf", "diana7", "description")
+                allowed = ("hand", "mjcf", "urdf", "diana7", "description", "recognition")
                 assert node.module.split(".")[2] in allowed, (path, node.module)
 
 

@@ -68,7 +68,7 @@ def trial(
         event_ns=lambda kind: next((e.t_ns for e in every if e.kind == kind), None),
         damage=list(damage),
         # `hand_distance` is replaced where it counts
-        robot=SimpleNamespace(samples=tuple(joints), T_base_palm=T_base_palm),
+        robot=SimpleNamespace(samples=tuple(joints), T_base_palm=T_base_palm, description=None),
         pairs=[Pair(START, 0, 0), Pair(last_ns, 1, 1)],
         scan=SimpleNamespace(poses={}, times={}, twists={}),
         config=Config(),
