@@ -78,11 +78,8 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
             start = motions[k][0]
         lift = lift_after(robot, start, end, last_ns)
         # motions before one lift are one attempt, of which the last begins it
-        if (
-            lift is not None
-            and lift - start >= BEFORE_LIFT_NS
-            and lift not in dict(attempts).values()
-        ):
+        is_new = lift not in [at for _, at in attempts]
+        if lift is not None and is_new and lift - start >= BEFORE_LIFT_NS:
             attempts.append((start, lift))
     if attempts:
         period = float(np.median(np.diff(times))) * 1e-9

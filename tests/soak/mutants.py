@@ -33,8 +33,11 @@ TEST_BLAME, TEST_DECIDE = "tests/verdict/test_blame.py", "tests/verdict/test_dec
 TEST_OUTCOME, TEST_PICTURE = "tests/verdict/test_outcome.py", "tests/verdict/test_picture.py"
 TEST_SENTENCE, TEST_TABLE = "tests/verdict/test_sentence.py", "tests/verdict/test_sub_causes.py"
 CLOSES, TEST_CLOSES = "dgeval/recording/closes.py", "tests/recording/test_closes.py"
+MOTION = "dgeval/recording/closing_motion.py"
 CAMERAS, CHECKS = "dgeval/recording/cameras.py", "dgeval/recording/checks.py"
 TEST_CHECKS = "tests/recording/test_checks.py"
+TEST_TARGET = "tests/recording/test_recorded_target.py"
+TEST_ROBOTS = "tests/recording/test_several_robots.py"
 TEST_RULE, TEST_LINES = "tests/test_failure_rule.py", "tests/test_failure_rule_lines.py"
 
 
@@ -640,25 +643,25 @@ MUTANTS = [
         f"{TEST_LIFT}::test_what_is_left_behind_is_given_up_early",
     ),
     Mutant(
-        CLOSES,
-        "        if lift is not None and lift - start >= BEFORE_LIFT_NS:\n            period",
-        "        if lift is not None and lift - end >= BEFORE_LIFT_NS:\n            period",
+        MOTION,
+        "is_new and lift - start >= BEFORE_LIFT_NS",
+        "is_new and lift - end >= BEFORE_LIFT_NS",
         f"{TEST_CLOSES}::test_a_lift_right_behind_a_slow_close",
     ),
     Mutant(
-        CLOSES,
+        MOTION,
         "for k in reversed(range(len(motions))):",
         "for k in range(len(motions)):",
         f"{TEST_CLOSES}::test_the_last_of_two_attempts_counts",
     ),
     Mutant(
-        CLOSES,
+        MOTION,
         "if begin - rest_ns > AFTER_S * 1e9 or heights",
         "if heights",
         f"{TEST_CLOSES}::test_a_lift_long_after_is_not_of_this_close",
     ),
     Mutant(
-        CLOSES,
+        MOTION,
         "while k and start - motions[k - 1][1] < RESTING_NS:",
         "while False and start - motions[k - 1][1] < RESTING_NS:",
         f"{TEST_CLOSES}::test_fingers_that_pause_at_the_object_close_once",
@@ -716,6 +719,86 @@ MUTANTS = [
         "np.where(zero, log_ns, header_ns) + offset_ns",
         "np.where(zero, log_ns, header_ns + offset_ns)",
         f"{TEST_CHECKS}::test_a_zero_stamp_gets_the_offset_too",
+    ),
+    # what a stranger's log may hold
+    Mutant(
+        RULE,
+        "nearest_m < NEAR_M:",
+        "nearest_m <= 2 * NEAR_M:",
+        f"{TEST_OUTCOME}::test_near_and_never_closed_is_a_failure",
+    ),
+    Mutant(
+        RULE,
+        "if nearest_m is None and moved:",
+        "if nearest_m is None and not moved:",
+        f"{TEST_OUTCOME}::test_a_target_that_is_not_known_is_no_answer",
+    ),
+    Mutant(
+        "dgeval/hindsight/moments.py",
+        "axis=1).min()) - HAND_REACH_M",
+        "axis=1).min())",
+        "tests/verdict/test_nearest_approach.py::test_a_hand_without_solids",
+    ),
+    Mutant(
+        "dgeval/recording/recorded_target.py",
+        'd.frame not in ("", robot.camera_frame)',
+        "False",
+        f"{TEST_TARGET}::test_a_detection_of_another_camera_is_none",
+    ),
+    Mutant(
+        "dgeval/recording/recorded_target.py",
+        "u, v = k.fx * x / z + k.cx, k.fy * y / z + k.cy",
+        "u, v = k.fx * x / z + k.cx, k.fy * x / z + k.cy",
+        f"{TEST_TARGET}::test_a_box_in_space",
+    ),
+    Mutant(
+        "dgeval/recording/palm.py",
+        "if way > CARRIED_M and ",
+        "if ",
+        f"{TEST_ROBOTS}::test_of_two_hands_the_one_that_grasps",
+    ),
+    Mutant(
+        "dgeval/recording/palm.py",
+        "if carrying or ways[most] < MOVES_TIMES",
+        "if ways[most] < 0 * MOVES_TIMES",
+        f"{TEST_ROBOTS}::test_of_two_hands_the_one_that_grasps",
+    ),
+    Mutant(
+        "dgeval/recording/pauses.py",
+        "if next_ns - t_ns > PAUSE_NS:",
+        "if is_image and next_ns - t_ns > PAUSE_NS:",
+        "tests/recording/test_pauses.py::test_a_recorder_that_was_paused_between_two_trials",
+    ),
+    Mutant(
+        CLOSES,
+        "last = (before_lift or closes)[-1]",
+        "last = closes[-1]",
+        f"{TEST_CLOSES}::test_a_gripper_that_closes_empty_after_the_last_lift_decides_nothing",
+    ),
+    Mutant(
+        "dgeval/recording/alignment.py",
+        "for corner in range(4):",
+        "for corner in (0, 3):",
+        "tests/recording/test_alignment.py"
+        "::test_aligned_depth_is_what_the_colour_camera_would_measure",
+    ),
+    Mutant(
+        "dgeval/recording/video.py",
+        "in PLANES and not frame.is_corrupt:",
+        "in PLANES:",
+        "tests/recording/test_video.py::test_a_damaged_picture_is_lost_and_harms_no_other",
+    ),
+    Mutant(
+        "dgeval/recording/scan.py",
+        "pose_from_matrix(invert(matrix_from_pose(pose)))",
+        "pose_from_matrix(matrix_from_pose(pose))",
+        "tests/recording/test_librealsense.py::test_streams_of_a_bag_are_not_one_camera",
+    ),
+    Mutant(
+        "dgeval/robots/recognition.py",
+        "if apart > SAME_M:",
+        "if apart > 3 * SAME_M:",
+        "tests/robots/test_recognition.py::test_the_same_names_on_another_hand",
     ),
 ]
 
