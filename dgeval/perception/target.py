@@ -47,6 +47,21 @@ def find_target(
     return best[1] if best else None
 
 
+def nearest_thing(
+    frame: Frame, T_base_camera: Array, place: Array, config: Config
+) -> tuple[float, Box] | None:
+    """Of what stands on the dominant plane the thing nearest to a place (3,) m, base frame: how far,
+    m, its middle is, and its box. None if there is none.
+    """
+    here = transform(invert(T_base_camera), place[None])[0]
+    window = (0, 0, frame.camera.width, frame.camera.height)
+    found = []
+    for box, at in _components(frame, config):
+        points = segmentation.points_of(frame.depth, window, at, frame.camera)
+        found.append((float(np.linalg.norm(points.mean(axis=0) - here)), box))
+    return min(found, default=None)
+
+
 def candidates(frame: Frame, config: Config) -> list[Box]:
     """Boxes of all components above the dominant plane, the largest first."""
     found = [(-int(at.sum()), box) for box, at in _components(frame, config)]

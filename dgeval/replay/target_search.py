@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgeval.config import Config
-from dgeval.geometry import Array, invert
+from dgeval.geometry import Array, invert, matrix_from_pose
 from dgeval.perception.pipeline import Perception
-from dgeval.perception.target import Box, candidates
-from dgeval.recording.contract import CLOSE_EVENT
+from dgeval.perception.target import Box, candidates, nearest_thing
+from dgeval.recording.contract import CLOSE_EVENT, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import LostFrames
 from dgeval.recording.recorded_target import Mark, marks_of
@@ -82,7 +82,7 @@ def search_target(trial: Trial, config: Config) -> FoundTarget | None:
             apart, box = followed[0]
             topic = None if mark is None else mark.topic
             return FoundTarget(box, frames[0].t_ns, apart, len(followed) - 1, topic)
-    return None
+    return _at_the_chosen_grasp(trial, config)
 
 
 def _marked_alone(trial: Trial, marks: list[Mark], config: Config) -> FoundTarget | None:
@@ -102,18 +102,45 @@ def _marked_alone(trial: Trial, marks: list[Mark], config: Config) -> FoundTarge
     return None
 
 
+def _at_the_chosen_grasp(trial: Trial, config: Config) -> FoundTarget | None:
+    """The thing at the grasp that the robot's own planner chose, or started from, in the first
+    frame that shows one.
+    """
+    poses = trial.scan.poses
+    chosen = sorted(poses.get(GRASP_TOPIC) or poses.get(SEED_TOPIC, []), key=lambda p: p.t_ns)
+    if not chosen:
+        return None
+    centre, near_m = _centre_in_palm(trial)
+    pairs = trial.pairs[:FOLLOWED]
+    for frame in replace(trial.reader, pairs=pairs, lost=LostFrames([])).frames():
+        if frame.T_base_camera is None:
+            continue
+        before = [p for p in chosen if p.t_ns <= frame.t_ns]
+        T = matrix_from_pose((before[-1] if before else chosen[0]).pose)
+        found = nearest_thing(frame, frame.T_base_camera, (T @ centre)[:3], config)
+        if found is not None and found[0] <= near_m:
+            return FoundTarget(found[1], frame.t_ns, found[0], 0)
+    return None
+
+
 def _grasp_centres(trial: Trial) -> tuple[dict[int, Array], float]:
     """The middle of the grasp (3,) m, base frame, by frame time, and at the close; and how near a
     target comes to it.
     """
-    hand, robot = trial.robot.hand, trial.robot
-    centre, near_m = np.array([0.0, 0.0, 0.0, 1.0]), NEAR_PALM_M
-    if hand is not None:
-        centre, near_m = invert(hand.T_hand_palm) @ np.append(hand.centre, 1.0), NEAR_CENTRE_M
+    robot = trial.robot
+    centre, near_m = _centre_in_palm(trial)
     close_ns = trial.event_ns(CLOSE_EVENT)
     stamps = [p.t_ns for p in trial.pairs] + ([] if close_ns is None else [close_ns])
     known = ((t, robot.T_base_palm(t)) for t in stamps)
     return {t: (T @ centre)[:3] for t, T in known if T is not None}, near_m
+
+
+def _centre_in_palm(trial: Trial) -> tuple[Array, float]:
+    """The middle of the grasp (4,) m, palm frame, or its origin, and how near a target comes to it."""
+    hand = trial.robot.hand
+    if hand is None:
+        return np.array([0.0, 0.0, 0.0, 1.0]), NEAR_PALM_M
+    return invert(hand.T_hand_palm) @ np.append(hand.centre, 1.0), NEAR_CENTRE_M
 
 
 def _follow(frames: list[Frame], box: Box, config: Config) -> list[tuple[int, Array]] | None:
