@@ -50,8 +50,9 @@ def find_target(
 def nearest_thing(
     frame: Frame, T_base_camera: Array, place: Array, config: Config
 ) -> tuple[float, Box] | None:
-    """Of what stands on the dominant plane the thing nearest to a place (3,) m, base frame: how far,
-    m, its middle is, and its box. None if there is none.
+    """Of what stands on the dominant plane the thing nearest to a place (3,) m, base frame.
+
+    How far its middle is, m, and its box; None if there is none.
     """
     here = transform(invert(T_base_camera), place[None])[0]
     window = (0, 0, frame.camera.width, frame.camera.height)

@@ -136,7 +136,7 @@ def _grasp_centres(trial: Trial) -> tuple[dict[int, Array], float]:
 
 
 def _centre_in_palm(trial: Trial) -> tuple[Array, float]:
-    """The middle of the grasp (4,) m, palm frame, or its origin, and how near a target comes to it."""
+    """The middle of the grasp (4,) m, palm frame, or its origin; how near a target comes, m."""
     hand = trial.robot.hand
     if hand is None:
         return np.array([0.0, 0.0, 0.0, 1.0]), NEAR_PALM_M
