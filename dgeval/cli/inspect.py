@@ -93,7 +93,8 @@ def _print(inspection: dict[str, Any]) -> None:
     typer.echo("roles:")
     for role, value in inspection["roles"].items():
         if role != "passed_over":
-            typer.echo(f"  {role}: {value if value is not None else 'not found'}")
+            shown = ", ".join(value) if isinstance(value, list) else value
+            typer.echo(f"  {role}: {shown if shown is not None else 'not found'}")
     for role, names in inspection["roles"].get("passed_over", {}).items():
         typer.echo(f"  also possible as {role}: {', '.join(names)}")
     timing = inspection["timing"]

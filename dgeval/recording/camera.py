@@ -170,6 +170,16 @@ def _intrinsics(
         )
     notes = []
     used = _of_picture(model, colour_topic)
+    if head.width and (used.width, used.height) != (head.width, head.height):
+        x, y = head.width / max(used.width, 1), head.height / max(used.height, 1)
+        scaled = [used.fx * x, used.fy * y, (used.cx + 0.5) * x - 0.5, (used.cy + 0.5) * y - 0.5]
+        raise UsageError(
+            f"{colour_topic} is {head.width}x{head.height}, and its camera_info {info_topic} is of "
+            f"{used.width}x{used.height}",
+            Place(str(scan.opened.path)),
+            "if the picture was resized: --set 'calibration.intrinsics="
+            f"[{', '.join(f'{v:.6g}' for v in scaled)}]'",
+        )
     lens = None
     if used is model.intrinsics:
         lens, note = lens_of(model, used)

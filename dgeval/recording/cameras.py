@@ -157,11 +157,19 @@ def _joints(text: str) -> dict[str, tuple[str, bool]]:
 def other_camera(
     scan: Scan, heads: dict[str, ImageHead], passed: dict[str, list[str]], colour: str, depth: str
 ) -> str | None:
-    """The colour topic of another whole camera, in another place than the chosen one; else None."""
+    """The colour topic of another whole camera than the chosen one; else None.
+
+    By its frame, or by intrinsics of its own and a namespace that has both pictures.
+    """
     here = {heads[n].frame_id for n in (colour, depth) if n in heads}
+    own = intrinsics_of(scan, heads, colour)
     for c in passed.get("colour", []):
         for d in passed.get("depth", []):
-            if c not in heads or d not in heads or heads[c].frame_id in here:
+            if c not in heads or d not in heads:
+                continue
+            beside = len(commonpath([c, d])) > 1 and commonpath([c, d]) != commonpath([c, colour])
+            another = beside and intrinsics_of(scan, heads, c) not in (None, own)
+            if heads[c].frame_id in here and not another:
                 continue
             if is_aligned(heads[c], heads[d]) and intrinsics_of(scan, heads, c) is not None:
                 return c

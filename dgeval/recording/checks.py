@@ -16,14 +16,18 @@ from dgeval.config import ClockConfig
 from dgeval.recording.containers.opening import missing_parts
 from dgeval.recording.contract import (
     CLOSE_EVENT,
+    EVENT_KEY,
+    EVENT_KINDS,
     FAILURE_LABELS,
     LIFT_EVENT,
     SUCCESS_LABELS,
+    TRIAL_END_EVENT,
     label_of,
 )
-from dgeval.recording.depth_unit import wrong_unit
+from dgeval.recording.depth_unit import wrong_poses, wrong_unit
 from dgeval.recording.events import Events
 from dgeval.recording.frame_reader import FrameReader, LostFrames
+from dgeval.recording.joint_checks import joint_faults
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.messages import TF_TYPES
 from dgeval.recording.pairing import Window
@@ -37,12 +41,14 @@ SAMPLED = 12  # frames of a trial whose depth is looked at
 MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 LEAST_POSES = 0.5  # share of the frames that must have a camera pose; ours
-BESIDE_NS = 5_000_000_000  # ns, by which a command may lie before or after all images; ours
+BESIDE_NS = 500_000_000  # ns, by which a command may lie before or after all images; ours
 UNITS_M = (1.0, 1e-2, 1e-3, 1e-4, 2.5e-4)  # m per unit of depth, of cameras in use
 NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is that one
-CLOCK_STEP_S = 0.5  # s, by which a clock is said to have been set; ours
-BEFORE_AFTER = 5  # images on each side of a step that must agree
+CLOCK_STEP_S = 0.25  # s, by which a clock is said to have been set; ours
+BEFORE_AFTER_S = 1.0  # s of messages on each side of a step; a burst of late ones is shorter
+LEAST_BESIDE = 5  # messages on each side
 LONGEST_GAP_S = 1.0  # s, as long as velocity and model are carried on (`estimation`)
+MOST_WORDS = 6  # that a sentence lists
 MOST_DROPPED = 0.1  # share of a stream whose stamps can't be used; ours
 
 
@@ -117,7 +123,9 @@ def failed_checks(
             failed.append(
                 Check("stamps", f"{what} and are not used", "see `dgeval inspect` for its clock")
             )
-    failed += [*_clock_steps(scan, roles), *_gap(window)]
+    failed += [*_clock_steps(scan, roles), *_gap(window), *_ends_early(scan, roles, window)]
+    failed += [Check("joints", what, mend) for what, mend in joint_faults(robot)]
+    failed += [Check("tree", what, "record one of them") for what in robot.changed]
     if robot.conflict:
         mend = "name the camera's robot: --set frames.namespace=/NAME"
         failed.append(Check("robots", robot.conflict, mend))
@@ -132,29 +140,54 @@ def failed_checks(
         if known < LEAST_POSES * len(times):
             what = f"the camera's pose in {robot.base_frame!r} is known in {known} of {len(times)}"
             mend = "look at the times of /tf or joint states in `dgeval inspect`; clock.*.offset_ns"
+            unknown = _joints_without_states(robot)
+            if unknown:
+                named = ", ".join(unknown[:MOST_WORDS])
+                mend = f"no states are recorded of the joints above the camera: {named}"
+                unread = [n for n, t in scan.opened.topics.items() if t.unread and "joint" in n]
+                mend += f"; {', '.join(unread)} can't be read" if unread else ""
             failed.append(Check("poses", f"{what} frames", mend))
     assert roles.depth is not None
-    unit = _depth_unit(reader, scan.images[roles.depth].encoding != "32FC1")
-    if unit is not None:
-        failed.append(unit)
+    failed += _against_the_scene(reader, scan.images[roles.depth].encoding != "32FC1")
+    if roles.rival is not None:
+        what = (
+            f"{roles.rival} is another camera, and its frame has the same name as {roles.colour}'s"
+        )
+        failed.append(Check("cameras", what, "name one: --set roles.colour=… and roles.depth=…"))
     return failed, [note] if note else []
 
 
-def _clock_steps(scan: Scan, roles: Roles) -> list[Check]:
-    """Whether the camera's clock was set in mid-recording: stamps jump and the log does not."""
-    assert roles.colour is not None
-    header, log = scan.times[roles.colour].arrays()
-    header, log = header[header > 0], log[header > 0]
-    if len(header) < 2 * BEFORE_AFTER:
+def _joints_without_states(robot: RobotStates) -> list[str]:
+    """The joints above the camera in the description whose states nobody recorded."""
+    if robot.description is None:
         return []
-    late = (log - header) * 1e-9
-    for k in np.flatnonzero(np.abs(np.diff(late)) > CLOCK_STEP_S) + 1:
-        before, after = late[max(0, k - BEFORE_AFTER) : k], late[k : k + BEFORE_AFTER]
-        step = float(np.median(before) - np.median(after))
-        if min(len(before), len(after)) >= BEFORE_AFTER and abs(step) > CLOCK_STEP_S:
-            at = (int(log[k]) - int(log[0])) * 1e-9
-            what = f"the camera's clock is set by {step:+.2f} s, {at:.2f} s into the recording"
-            return [Check("stamps", what, "cut the recording there (start_ns, end_ns)")]
+    tree = robot.tree
+    above = [link for link in tree.ancestors(robot.camera_frame) if link in tree.computed]
+    followed = [robot.description.joints[k].follows for k in above if k not in tree.moving]
+    return sorted(name for name in followed if name not in robot.joints.times)
+
+
+def _clock_steps(scan: Scan, roles: Roles) -> list[Check]:
+    """Whether a clock was set in mid-recording: stamps jump and the log does not."""
+    robot = [n for n, t in scan.opened.topics.items() if t.type in TF_TYPES and "static" not in n]
+    assert roles.colour is not None
+    for topic in (roles.colour, *roles.joints, *sorted(robot)):
+        header, log = scan.times[topic].arrays()
+        if len(header) != len(log):
+            continue
+        header, log = header[header > 0], log[header > 0]
+        late = (log - header) * 1e-9
+        for k in np.flatnonzero(np.abs(np.diff(late)) > CLOCK_STEP_S) + 1:
+            near = np.abs(log - log[k]) * 1e-9 < BEFORE_AFTER_S
+            before, after = late[:k][near[:k]], late[k:][near[k:]]
+            if min(len(before), len(after)) < LEAST_BESIDE:
+                continue
+            step = float(np.median(before) - np.median(after))
+            if abs(step) > CLOCK_STEP_S:
+                at = (int(log[k]) - int(log[0])) * 1e-9
+                whose = "the camera's clock" if topic == roles.colour else f"the clock of {topic}"
+                what = f"{whose} is set by {step:+.2f} s, {at:.2f} s into the recording"
+                return [Check("stamps", what, "cut the recording there (start_ns, end_ns)")]
     return []
 
 
@@ -172,6 +205,23 @@ def _gap(window: Window) -> list[Check]:
     return [Check("gap", what, "what happens there is not judged; look for the recorder's losses")]
 
 
+def _ends_early(scan: Scan, roles: Roles, window: Window) -> list[Check]:
+    """Whether the images stop and the robot goes on: in the trial, or up to the recording's end."""
+    assert roles.colour is not None
+    header, log = scan.times[roles.colour].arrays()
+    robot = [scan.times[topic].arrays()[1] for topic in roles.joints]
+    robot_ns = max((int(times.max()) for times in robot if len(times)), default=0)
+    missing = (robot_ns - int(log.max())) * 1e-9  # by the recorder, whatever the clocks of stamps
+    last_ns = int(header.max())
+    ends = [e.t_ns for e in scan.events if e.kind == TRIAL_END_EVENT and e.t_ns >= last_ns]
+    if ends:
+        missing = min(missing, (min(ends) - last_ns) * 1e-9)
+    if window.end_ns < last_ns or missing <= LONGEST_GAP_S:
+        return []
+    what = f"the images end {missing:.2f} s before the robot's states"
+    return [Check("gap", what, "what happens there is not judged; look for the recorder's losses")]
+
+
 def event_checks(
     events: Events, scan: Scan, colour_ns: NDArray[np.int64], spec: TrialSpec
 ) -> list[Check]:
@@ -182,6 +232,11 @@ def event_checks(
     """
     failed: list[Check] = []
     mend = "give it with --label success|failure, or label in a manifest"
+    if scan.not_events:
+        words = ", ".join(repr(text[:60]) for text in scan.not_events[:MOST_WORDS])
+        what = f"{len(scan.not_events)} events are not understood: {words}"
+        kinds = ", ".join(sorted(EVENT_KINDS))
+        failed.append(Check("events", what, f"understood are JSON with {EVENT_KEY!r}, or {kinds}"))
     known: dict[str, int] = {}
     for event, text in events.labels() if spec.label is None else ():
         label = label_of(text)
@@ -191,6 +246,11 @@ def event_checks(
             failed.append(Check("label", what, mend))
         else:
             known.setdefault(label, event.t_ns)
+    closes = [e.t_ns for e in events if e.kind == CLOSE_EVENT]
+    if closes and known and max(known.values()) < min(closes):
+        before = (min(closes) - max(known.values())) * 1e-9
+        what = f"the label is {before:.2f} s before the close: is it the trial's before?"
+        failed.append(Check("label", what, mend))
     if len(known) > 1:
         first, second = sorted(known, key=lambda label: known[label])
         later = (known[second] - known[first]) * 1e-9
@@ -227,13 +287,20 @@ def part_check(recording: Path) -> list[Check]:
     ]
 
 
-def _depth_unit(reader: FrameReader, is_integer: bool) -> Check | None:
-    """Whether the depth of a few frames can be metres."""
+def _against_the_scene(reader: FrameReader, is_integer: bool) -> list[Check]:
+    """Whether the depth of a few frames can be metres, and the camera's poses those of its optical
+    frame.
+    """
     at = np.unique(np.linspace(0, len(reader.pairs) - 1, SAMPLED).astype(int))
     pairs = tuple(reader.pairs[k] for k in at)
-    found = wrong_unit(list(replace(reader, pairs=pairs, lost=LostFrames([])).frames()))
+    frames = list(replace(reader, pairs=pairs, lost=LostFrames([])).frames())
+    found = wrong_unit(frames)
     if found is None:
-        return None
+        how = wrong_poses(frames)
+        if how is None:
+            return []
+        what = f"the pose of the frame {reader.robot.camera_frame!r} {how}"
+        return [Check("camera_poses", what, "name the optical frame (frames.camera), or mend /tf")]
     what, factor = found
     given = reader.camera.depth_scale
     stated = "" if given is None else f" with a scale of {given:g}"
@@ -242,4 +309,4 @@ def _depth_unit(reader: FrameReader, is_integer: bool) -> Check | None:
     near = min(UNITS_M, key=lambda unit: abs(np.log(unit / scale)))
     proposed = near if abs(np.log(near / scale)) < NEAR_UNIT else scale
     mend = f"set calibration.depth_scale, in m per unit (probably {proposed:.2g})"
-    return Check("depth_unit", f"{what}{stated}", mend)
+    return [Check("depth_unit", f"{what}{stated}", mend)]

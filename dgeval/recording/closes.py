@@ -37,6 +37,7 @@ from dgeval.recording.scan import Scan
 
 CloseSource = Literal["event", "manifest", "command", "joints", "width", "effort"]
 
+STILL_FINGERS = ", and the fingers, whose joint states are recorded, never close"
 MENDS = "mark it with --close TIME, or close_ns in a manifest"
 
 
@@ -82,6 +83,9 @@ def close_of(
         return CloseKnown(events, "manifest", None, note, fingers_ns)
     if events.first_ns(CLOSE_EVENT) is not None:
         events, note = _last_attempt(events, first_ns)
+        still = isinstance(found, NoClose) and found.fingers_seen and found.motion_ns is None
+        if still and first_ns <= (events.first_ns(CLOSE_EVENT) or 0) <= last_ns:
+            note = "; ".join(filter(None, [note, "a close is marked" + STILL_FINGERS]))
         return CloseKnown(events, "event", None, note, fingers_ns)
     told = _by_grippers(robot, grippers, first_ns, last_ns, ("command",))
     if told is None and isinstance(found, NoClose) and not found.fingers_seen:

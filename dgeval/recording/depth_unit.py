@@ -27,6 +27,11 @@ SURE = 2.5
 # share of the depth, by which a unit that is called wrong must fit worse: against the best, and at
 # least; ours
 WORSE, LEAST_WORSE = 3.0, 0.02
+# z of the optical frame looks along x of the body, and x of it to the body's right
+T_BODY_OPTICAL = np.array(
+    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+LEAST_PAIRS, CONTRADICTS = 5, 0.05  # pairs, and share of the depth by which poses don't fit; ours
 EVERY = 7  # px, of rows and columns that are looked at
 LEAST_POINTS = 200
 
@@ -87,6 +92,39 @@ def factor_by_motion(frames: Sequence[Frame]) -> float | None:
     middle = float(np.median(votes))
     agree = np.abs(np.log(np.array(votes) / middle)) < np.log(AGREE)
     return middle if len(votes) >= LEAST_VOTES and agree.mean() > 0.5 else 1.0
+
+
+def wrong_poses(frames: Sequence[Frame]) -> str | None:
+    """What is wrong with the camera's poses, by its own motion past things that stand still; None
+    where they fit, or where nothing can be said.
+
+    Either they are of a body frame, x forward and z up, and not of the optical one, or they fit
+    nothing: in no two frames is a point where the other has it.
+    """
+    given, turned = [], []
+    for a, b in combinations(frames, 2):
+        if a.T_base_camera is None or b.T_base_camera is None:
+            continue
+        T_b_a = invert(b.T_base_camera) @ a.T_base_camera
+        if not MOVED_M <= np.linalg.norm(T_b_a[:3, 3]) <= MOST_MOVED_M:
+            continue
+        misfits = (
+            _misfit(a, b, T_b_a)(1.0),
+            _misfit(a, b, invert(T_BODY_OPTICAL) @ T_b_a @ T_BODY_OPTICAL)(1.0),
+        )
+        if not np.isnan(misfits).all():  # else the pictures show nothing in common
+            given.append(misfits[0])
+            turned.append(misfits[1])
+    if len(given) < LEAST_PAIRS:
+        return None
+    as_given, as_turned = np.array(given), np.array(turned)
+    fits, fits_turned = as_given <= LEAST_WORSE, as_turned <= LEAST_WORSE
+    if (fits_turned & ~fits).mean() > 0.5 and fits_turned.sum() > 2 * fits.sum():
+        return "is of the camera's body, x forward and z up, and not of its optical frame"
+    if not fits.any() and np.nanmedian(as_given) > CONTRADICTS:
+        share = float(np.nanmedian(as_given))
+        return f"does not fit what it sees: what stands still seems to move by {share:.0%}"
+    return None
 
 
 def _misfit(a: Frame, b: Frame, T_b_a: Array) -> Callable[[float], float]:

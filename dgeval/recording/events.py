@@ -51,13 +51,21 @@ class Events:
         return out
 
 
-def events_within(events: list[Event], start_ns: int, end_ns: int, limit_ns: int | None) -> Events:
+def events_within(
+    events: list[Event],
+    start_ns: int,
+    end_ns: int,
+    limit_ns: int | None,
+    next_ns: int | None = None,
+) -> Events:
     """The events of a window, ns, and of AFTER_NS after it, but none after `limit_ns`.
 
-    Labels come later, when an operator has looked: all up to the next trial's start.
+    Labels come later, when an operator has looked: all up to the next trial's start. next_ns: of
+    that, where nobody marked it.
     """
     last_ns = end_ns + AFTER_NS if limit_ns is None else min(end_ns + AFTER_NS, limit_ns)
     starts = [e.t_ns for e in events if e.kind == TRIAL_START_EVENT and e.t_ns > end_ns]
+    starts += [] if next_ns is None else [next_ns]
 
     def belongs(event: Event) -> bool:
         is_late_label = event.kind == LABEL_EVENT and (not starts or event.t_ns < min(starts))

@@ -23,7 +23,7 @@ def found_config(path: Path, config: Config) -> str:
         "intrinsics": roles.intrinsics,
         "camera_pose": roles.camera_pose,
         "hand_pose": roles.hand_pose,
-        "target": roles.target,
+        "target": roles.target[0] if roles.target else None,
     }
     lines = [
         f"# What dgeval takes for {path.name}, to edit:",

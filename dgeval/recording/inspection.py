@@ -141,8 +141,9 @@ def _topic(scanned: Scan, name: str) -> dict[str, Any]:
 
 def _roles(scanned: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, Any]:
     out: dict[str, Any] = {
-        r: getattr(roles, r) for r in ("colour", "depth", "intrinsics", "hand_joints", "target")
+        r: getattr(roles, r) for r in ("colour", "depth", "intrinsics", "hand_joints")
     }
+    out["target"] = list(roles.target) or None
     camera = palm = None
     if robot is not None:
         if robot.base_frame is not None:

@@ -25,6 +25,7 @@ SAME_IMAGE_NS = 20_000_000  # ns; a mark so near to an image's stamp is of that 
 LEAST_PX = 10.0  # px; a smaller box holds nothing that can be followed; ours
 MOST_MARKS = 200  # messages with a mark that are looked at; ours
 MOST_LABELS = 20  # values of a mask; more is no mask; ours
+MOST_OF_PICTURE = 0.5  # share that a target covers at most in a mask; ours
 ABOUT_M = 0.04  # m around an object's pose; no object is asked for its size; ours
 
 
@@ -41,31 +42,43 @@ class Mark:
 
 
 def marks_of(
-    scan: Scan, topic: str | None, pairs: tuple[Pair, ...], camera: Camera, robot: RobotStates
+    scan: Scan,
+    topics: tuple[str, ...],
+    pairs: tuple[Pair, ...],
+    camera: Camera,
+    robot: RobotStates,
 ) -> list[Mark]:
-    """The marks of a topic in a trial's pictures, in time order; none without a topic."""
-    if topic is None:
-        return []
-    if topic in scan.images:
-        found = _of_masks(scan.opened, topic, camera)
-    elif topic in scan.detections:
-        found = _of_detections(scan.detections[topic], topic, camera, robot)
-    else:
-        found = _of_poses(scan, topic, camera, robot)
+    """The marks of topics in a trial's pictures, in time order; one for all in one picture."""
     stamps = np.array([p.t_ns for p in pairs], dtype=np.int64)
     out: dict[int, Mark] = {}
-    for mark in found:
-        at = int(stamps[np.argmin(np.abs(stamps - mark.t_ns))])
-        boxes = tuple(b for box in mark.boxes if (b := _inside(box, camera)) is not None)
-        if abs(at - mark.t_ns) <= SAME_IMAGE_NS and boxes:
-            out.setdefault(at, Mark(topic, at, boxes, mark.is_point))
-        if len(out) >= MOST_MARKS:
-            break
+    for topic in topics:
+        seen: set[int] = set()
+        for mark in _marks_of_topic(scan, topic, camera, robot):
+            at = int(stamps[np.argmin(np.abs(stamps - mark.t_ns))])
+            boxes = tuple(b for box in mark.boxes if (b := _inside(box, camera)) is not None)
+            if abs(at - mark.t_ns) > SAME_IMAGE_NS or not boxes or at in seen:
+                continue
+            seen.add(at)
+            before = out.get(at)
+            names = topic if before is None else f"{before.topic}, {topic}"
+            others = () if before is None else before.boxes
+            is_point = mark.is_point or (before is not None and before.is_point)
+            out[at] = Mark(names, at, (*others, *boxes), is_point)
+            if len(seen) >= MOST_MARKS:
+                break
     return [out[t] for t in sorted(out)]
 
 
+def _marks_of_topic(scan: Scan, topic: str, camera: Camera, robot: RobotStates) -> list[Mark]:
+    if topic in scan.images:
+        return _of_masks(scan.opened, topic, camera)
+    if topic in scan.detections:
+        return _of_detections(scan.detections[topic], topic, camera, robot)
+    return _of_poses(scan, topic, camera, robot)
+
+
 def _of_masks(opened: Opened, topic: str, camera: Camera) -> list[Mark]:
-    """One box for each value of a mask that is not 0."""
+    """One box for each value of a mask that is not 0 and covers less than half of the picture."""
     out: list[Mark] = []
     for message in opened.messages(frozenset({topic})):
         try:
@@ -76,8 +89,11 @@ def _of_masks(opened: Opened, topic: str, camera: Camera) -> list[Mark]:
             continue  # told by the scan
         mask = mask if mask.ndim == 2 else mask[:, :, 0]
         values = np.unique(mask[mask > 0])
-        if 0 < len(values) <= MOST_LABELS:
-            out.append(Mark(topic, t_ns, tuple(_box_of(mask == v, camera) for v in values)))
+        if not 0 < len(values) <= MOST_LABELS:
+            continue
+        labels = [at for v in values if (at := mask == v).mean() < MOST_OF_PICTURE]
+        if labels:
+            out.append(Mark(topic, t_ns, tuple(_box_of(at, camera) for at in labels)))
         if len(out) >= MOST_MARKS:
             break
     return out

@@ -64,7 +64,10 @@ class JointTrack:
         if i == 0 or i == len(times) or times[i] - times[i - 1] > max_gap_ns:
             return None
         share = (t_ns - times[i - 1]) / (times[i] - times[i - 1])
-        return (1 - share) * self.values[name][i - 1] + share * self.values[name][i]
+        before, after = self.values[name][i - 1], self.values[name][i]
+        if abs(after - before) > np.pi:  # the joint turns on over the end of its range
+            after -= float(np.copysign(2 * np.pi, after - before))
+        return (1 - share) * before + share * after
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,7 @@ class RobotStates:
     hand_links: links of the hand that have a shape. joints: of the whole robot, samples: as
     recorded. notes: what was assumed. conflict: robots that use the same names and are not told
     apart, "" without. hands: palms of several hands of which nothing tells the one that grasps.
+    changed: static transforms and descriptions that are given twice, differently.
     """
 
     tree: TransformTree
@@ -86,6 +90,7 @@ class RobotStates:
     notes: tuple[str, ...]
     conflict: str = ""
     hands: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
     samples: tuple[JointSample, ...] = ()
 
     @cached_property
@@ -142,6 +147,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         f"the transforms in {namespace or '/'} are another robot's and are not used"
         for namespace in sorted(scan.tf.keys() - set(counts) - set(mixed))
     )
+    changed = [what for ns in counts for what in _given_twice(scan.tf[ns])]
     used, joints_mixed = joint_topics(scan, roles, config.frames.namespace)
     samples = merged_joints(scan, used)
     joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)
@@ -184,6 +190,11 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     if base is not None and base not in tree.ancestors(camera):
         raise UsageError(f"frames.base = {base!r} is not above the camera frame {camera!r} in tf")
     if base is None:
+        known = tree.frames()
+        if known and camera not in known:
+            notes.append(
+                f"the images' frame {camera!r} is in neither /tf nor a description (frames.camera)"
+            )
         notes.append("no camera pose recorded: the base frame is the camera frame")
         palm = palm if config.frames.palm is not None else None
     for child, parents in tree.reparented().items():
@@ -218,6 +229,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         tuple(notes),
         conflict,
         hands,
+        (*changed, *(f"{t} has two descriptions" for t in sorted(scan.description_changes))),
         tuple(samples),
     )
 
@@ -237,6 +249,21 @@ def _contradict(a: Transforms, b: Transforms) -> bool:
         or differ(series(a, child), series(b, child), SAME_POSE)
         for child in shared
     )
+
+
+def _given_twice(heard: Transforms) -> list[str]:
+    """The static transforms that are given again with another place."""
+    first: dict[tuple[str, str], Array] = {}
+    out: dict[str, str] = {}
+    for edge in heard.static:
+        pose = first.setdefault((edge.parent, edge.child), edge.pose)
+        apart = float(np.linalg.norm(edge.pose[:3] - pose[:3]))
+        turned = min(np.abs(edge.pose[3:] - pose[3:]).max(), np.abs(edge.pose[3:] + pose[3:]).max())
+        if apart > SAME_POSE or turned > SAME_POSE:
+            out[edge.child] = (
+                f"the static frame {edge.child!r} is given twice, {apart * 1000:.0f} mm apart"
+            )
+    return [out[child] for child in sorted(out)]
 
 
 def _add_transforms(

@@ -18,6 +18,8 @@ from dgeval.recording.video import EXTRA, is_available
 
 SAME_MATRIX = 0.02  # share; two cameras whose matrices differ by less are one; ours
 SAME_JOINT = 0.02  # rad or m; two topics that differ by less give one joint's position; ours
+# words in the name of a mask that is not of an object
+NO_TARGET_MASK = ("valid", "self", "robot", "arm_mask", "confidence", "filter")
 MASK_ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1")
 # parts of a topic's name that rule it out as the camera or a state of the robot
 NOT_A_CAMERA = (DGEVAL_PREFIX, TRUTH_PREFIX, "mask", "debug", "annotated", "detection")
@@ -28,7 +30,8 @@ class Roles:
     """The topic of each role, or None.
 
     joints: every topic of joint states that counts, the first with a joint's name gives its values.
-    target: masks, detections or an object's poses, which mark the target.
+    target: masks, detections or an object's poses, which mark the target. rival: colour of another
+    camera whose frame has the same name.
     depth_intrinsics: of a depth camera whose images are not aligned to colour.
     passed_over: by role, topics that could have it as well. notes: what was assumed.
     """
@@ -43,7 +46,8 @@ class Roles:
     joints: tuple[str, ...] = ()
     depth_intrinsics: str | None = None
     notes: tuple[str, ...] = ()
-    target: str | None = None
+    target: tuple[str, ...] = ()
+    rival: str | None = None
 
 
 def find_roles(scan: Scan, config: RolesConfig) -> Roles:
@@ -74,8 +78,12 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
     colour, depth, passed_images = choose_camera(scan, heads, config)
     passed |= passed_images
     notes = []
+    rival = None
     if colour is not None and depth is not None:
         other = other_camera(scan, heads, passed, colour, depth)
+        if other is not None and config.colour is None:
+            same = heads[other].frame_id == heads[colour].frame_id
+            rival = other if same and heads[other].frame_id else None
         if other is not None:
             notes.append(
                 f"the camera is {colour} ({heads[colour].frame_id}); {other} "
@@ -110,22 +118,22 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
         tuple(joints),
         depth_intrinsics,
         tuple(notes),
-        config.target or _target_topic(scan, colour),
+        (config.target,) if config.target else _target_topics(scan, colour),
+        rival,
     )
 
 
-def _target_topic(scan: Scan, colour: str | None) -> str | None:
-    """The robot's mask, else a mask of the colour picture, else detections, else an object's pose;
-    None where there is none.
-    """
+def _target_topics(scan: Scan, colour: str | None) -> tuple[str, ...]:
+    """The robot's mask, else all masks of the colour picture, else detections, else poses."""
     head = scan.images.get(colour or "")
     if head is None:
-        return None
+        return ()
 
     def is_mask(name: str) -> bool:
         mask = scan.images[name]
         size = (mask.width, mask.height) == (head.width, head.height)
-        return size and mask.encoding in MASK_ENCODINGS and _has(name, "mask", "segmentation")
+        named = _has(name, "mask", "segmentation") and not _has(name, *NO_TARGET_MASK)
+        return size and mask.encoding in MASK_ENCODINGS and named
 
     def theirs(names: Iterable[str]) -> list[str]:
         return sorted(n for n in names if not n.startswith((DGEVAL_PREFIX, TRUTH_PREFIX)))
@@ -133,7 +141,8 @@ def _target_topic(scan: Scan, colour: str | None) -> str | None:
     own = [n for n in scan.images if n == MASK_TOPIC and is_mask(n)]
     masks = [n for n in theirs(scan.images) if n != colour and is_mask(n)]
     poses = [n for n in theirs(scan.poses) if _has(n, "object")]
-    return next(iter([*own, *masks, *theirs(scan.detections), *poses]), None)
+    kinds = (own, masks, theirs(scan.detections), poses)
+    return next((tuple(names) for names in kinds if names), ())
 
 
 def aligned(scan: Scan, colour: str, depth: str) -> bool:

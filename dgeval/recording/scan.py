@@ -126,8 +126,10 @@ class Transforms:
 class Scan:
     """What one pass keeps of a recording, most of it by topic; transforms by namespace.
 
-    depth_units: m per unit, by the topic of librealsense's option. recorder_clock: where the
-    recorder's clock is not that of the stamps; events and scores without a stamp are moved by it.
+    depth_units: m per unit, by the topic of librealsense's option. not_events: entries of the
+    events' topic that are not understood. description_changes: topics of several descriptions.
+    recorder_clock: where the recorder's clock is not that of the stamps; events and scores without
+    a stamp are moved by it.
     """
 
     opened: Opened
@@ -143,8 +145,10 @@ class Scan:
     detections: dict[str, list[Detection]] = field(default_factory=lambda: defaultdict(list))
     scores: list[tuple[int, float]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
+    not_events: list[str] = field(default_factory=list)
     recorder_clock: RecorderClock | None = None
     descriptions: dict[str, str] = field(default_factory=dict)
+    description_changes: set[str] = field(default_factory=set)
     depth_units: dict[str, float] = field(default_factory=dict)
     undecodable: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     first_undecodable: dict[str, str] = field(default_factory=dict)
@@ -218,8 +222,13 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             elif topic.type == "std_msgs/msg/String":
                 text = opened.decode(message).data
                 if message.topic == wanted_events:
-                    out.events.append(event_of(text, message.log_ns))
+                    try:
+                        out.events.append(event_of(text, message.log_ns))
+                    except ValueError:
+                        out.not_events.append(text)
                 elif message.topic.endswith(ROBOT_DESCRIPTION[1:]):
+                    if out.descriptions.get(message.topic, text) != text:
+                        out.description_changes.add(message.topic)
                     out.descriptions[message.topic] = text
             elif is_gripper_topic(message.topic, topic.type):
                 gripper = opened.decode(message)

@@ -145,7 +145,8 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     _check_box(spec.bbox, camera.intrinsics, place)
     if spec.bbox is not None and camera.lens is not None:
         spec = replace(spec, bbox=camera.lens.box(spec.bbox))
-    marked = events_within(scanned.events, window.start_ns, window.end_ns, spec.end_ns)
+    next_ns = spec.end_ns if spec.is_between_pauses else None
+    marked = events_within(scanned.events, window.start_ns, window.end_ns, spec.end_ns, next_ns)
     first_ns = window.pairs[0].t_ns
     given = (
         _given(spec.close_ns, spec.close_after_s, first_ns),

@@ -46,8 +46,8 @@ def target_note(trial: Trial, target: FoundTarget | None) -> list[str]:
     picture = f"pictures/{file_name(trial.spec.id)}-target.png"
     if target is None:
         how = "the thing nearest to the palm or the largest, in the first frames"
-        if trial.roles.target is not None:
-            how += f", as {trial.roles.target} does not tell"
+        if trial.roles.target:
+            how += f", as {', '.join(trial.roles.target)} does not tell"
     elif target.apart_m is None:
         at = (target.t_ns - trial.pairs[0].t_ns) * 1e-9
         how = f"what {target.topic} marks at {at:+.2f} s"

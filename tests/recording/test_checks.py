@@ -17,6 +17,7 @@ from dgeval.recording.checks import clock_check, failed_checks
 from dgeval.recording.clocks import StampFaults, clean_stamps
 from dgeval.recording.messages import CameraModel
 from dgeval.recording.pairing import Pair, Window
+from dgeval.recording.robot import JointTrack
 from dgeval.recording.scan import ImageHead, TopicTimes
 from tests.recording.recorders import COLOUR, DEPTH, JOINTS, Message, opened, write
 
@@ -73,17 +74,21 @@ def checks_of(
         times={"/c": TopicTimes(stamps, stamps), "/d": TopicTimes(stamps, stamps)},
         opened=SimpleNamespace(topics={}),
         images={"/d": ImageHead("16UC1", 4, 4, "c", "")},
+        events=[],
     )
-    roles: Any = SimpleNamespace(colour="/c", depth="/d", joints=())
+    roles: Any = SimpleNamespace(colour="/c", depth="/d", joints=(), rival=None)
     robot: Any = SimpleNamespace(
         base_frame="base",
         conflict="",
         hands=(),
+        changed=(),
+        joints=JointTrack(),
+        description=None,
         T_base_camera=lambda t: np.eye(4) if t < known * 33_000_000 else None,
     )
     window = Window(0, stamps[-1], pairs, 0, 0, faults)
     reader: Any = None
-    monkeypatch.setattr("dgeval.recording.checks._depth_unit", lambda *_: None)
+    monkeypatch.setattr("dgeval.recording.checks._against_the_scene", lambda *_: [])
     failed, _ = failed_checks(scan, roles, robot, window, reader, Config().clock)
     return [c.name for c in failed]
 

@@ -1,0 +1,49 @@
+"""What joint states can't be: two publishers' by turns, or outside of what the joint can do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgeval.recording.robot import RobotStates
+
+LEAST_SAMPLES = 20  # of a joint, to say anything; ours
+JUMP = 0.03  # rad or m, there and back between neighbouring samples; ours
+BACK = 0.3  # share of the jump, by which at most the sample after it differs from the one before
+ALTERNATES = 0.1  # share of the samples that jump there and back; ours
+BEYOND = 0.5  # share of a joint's range, and
+BEYOND_LEAST = {"revolute": 0.2, "prismatic": 0.05}  # rad or m, by which it may be outside of it
+OUTSIDE = 0.1  # share of the samples that are outside; ours
+
+
+def joint_faults(robot: RobotStates) -> list[tuple[str, str]]:
+    """What is wrong with the joint states, and what mends it."""
+    out = []
+    for name, values in sorted(robot.joints.values.items()):
+        q = np.array(values)
+        if len(q) < LEAST_SAMPLES:
+            continue
+        there, back = np.abs(np.diff(q))[:-1], np.abs(q[2:] - q[:-2])
+        share = float(((there > JUMP) & (back < BACK * there)).mean())
+        if share > ALTERNATES:
+            what = f"the joint {name} jumps there and back in {share:.0%} of its samples"
+            mend = "record the topic with one program alone"
+            out.append((f"{what}: do two programs publish it?", mend))
+            break  # the others of that topic do so too
+    if robot.description is None:
+        return out
+    for joint in sorted(robot.description.joints.values(), key=lambda j: j.name):
+        q = np.array(robot.joints.values.get(joint.name, []))
+        span = joint.upper - joint.lower
+        if len(q) < LEAST_SAMPLES or joint.kind == "fixed" or not 0 < span < np.inf:
+            continue
+        off = np.maximum(joint.lower - q, q - joint.upper)
+        if float((off > max(BEYOND * span, BEYOND_LEAST[joint.kind])).mean()) > OUTSIDE:
+            unit = {"revolute": "rad", "prismatic": "m"}[joint.kind]
+            what = f"the joint {joint.name} is at {np.median(q):.4g}, and its limits are "
+            what += f"{joint.lower:.4g} to {joint.upper:.4g} {unit}"
+            mend = (
+                "are the states in degrees or millimetres, or is the description another robot's?"
+            )
+            out.append((what, mend))
+            break
+    return out
