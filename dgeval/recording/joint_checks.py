@@ -12,7 +12,7 @@ BACK = 0.3  # share of the jump, by which at most the sample after it differs fr
 ALTERNATES = 0.1  # share of the samples that jump there and back; ours
 BEYOND = 0.5  # share of a joint's range, and
 BEYOND_LEAST = {"revolute": 0.2, "prismatic": 0.05}  # rad or m, by which it may be outside of it
-OUTSIDE = 0.1  # share of the samples that are outside; ours
+OUTSIDE = 0.5  # share of the samples that are outside; ours
 
 
 def joint_faults(robot: RobotStates) -> list[tuple[str, str]]:

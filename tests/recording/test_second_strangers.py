@@ -1,0 +1,289 @@
+"""Catches: logs of other people's robots that gave a wrong number, or a reason that is not true,
+without a word. Each is the demo with one oddity; what is right stands in the test's name.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dgeval.config import Config
+from dgeval.errors import UsageError
+from dgeval.geometry import Array
+from dgeval.recording.manifest import find_trials
+from dgeval.recording.recorded_target import marks_of
+from dgeval.recording.robot import JointTrack
+from dgeval.recording.trials import Trial, open_trial
+from tests.recording.recorders import (
+    COLOUR,
+    DEPTH,
+    EVENTS,
+    INFO,
+    JOINTS,
+    TYPES,
+    Message,
+    image,
+    opened,
+    write,
+)
+from tests.recording.test_pauses import twice
+
+STRING = "std_msgs/msg/String"
+DESCRIPTION = "/robot_description"
+
+
+def names(trial: Trial) -> list[str]:
+    return [check.name for check in trial.checks]
+
+
+def said(trial: Trial) -> str:
+    return "; ".join(map(str, trial.checks))
+
+
+def joints(value: Any, positions: Array, labels: list[str] | None = None) -> Any:
+    return TYPES["sensor_msgs/msg/JointState"](
+        header=value.header,
+        name=labels or value.name,
+        position=np.asarray(positions, dtype=float),
+        velocity=value.velocity,
+        effort=value.effort,
+    )
+
+
+def with_joints(messages: list[Message], change: Callable[[int, Any], Any]) -> list[Message]:
+    """Joint states changed by their number and message."""
+    out, k = [], 0
+    for m in messages:
+        out.append([*m[:3], change(k, m[3])] if m[1] == JOINTS else m)
+        k += m[1] == JOINTS
+    return out
+
+
+def test_a_label_stays_in_the_trial_that_it_was_given_in(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where the first of two trials, between which the recorder was paused, gets the second
+    one's label.
+    """
+    listed = twice(messages, 8.0)
+    last = max(m[0] for m in listed)
+    listed.append([last, EVENTS, STRING, TYPES[STRING](data='{"event": "label", "label": "fail"}')])
+    first, second = (open_trial(s, Config()) for s in find_trials([write(tmp_path / "a", listed)]))
+    assert (first.events.label(), second.events.label()) == (None, "failure")
+
+
+def test_two_publishers_of_one_topic_are_told(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where a hand that jumps between two places has a pose."""
+    first = next(m for m in messages if m[1] == JOINTS)[3]
+    again = [
+        [m[0] + 1000, JOINTS, m[2], joints(m[3], np.zeros(len(first.name)))]
+        for m in messages
+        if m[1] == JOINTS
+    ]
+    for m in again:
+        m[3] = copy.deepcopy(m[3])
+        m[3].header.stamp.nanosec = (m[3].header.stamp.nanosec + 1_000_000) % 10**9
+    trial = opened(write(tmp_path / "a.mcap", [*messages, *again]))
+    assert "joints" in names(trial)
+    assert "two programs" in said(trial)
+
+
+def test_joints_in_degrees_are_told(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where degrees are radians, though the description says what the joint can do."""
+    listed = with_joints(messages, lambda _, v: joints(v, np.degrees(v.position)))
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert "joints" in names(trial)
+    assert "limits" in said(trial)
+
+
+def test_a_robots_clock_that_is_set_is_told(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where only the camera's clock is looked at."""
+    start = min(m[0] for m in messages)
+    listed = []
+    for m in messages:
+        value = m[3]
+        if m[1] == JOINTS and m[0] - start > 2.5e9:
+            value = copy.deepcopy(value)
+            t_ns = value.header.stamp.sec * 10**9 + value.header.stamp.nanosec + 400_000_000
+            value.header.stamp.sec, value.header.stamp.nanosec = t_ns // 10**9, t_ns % 10**9
+        listed.append([*m[:3], value])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert names(trial) == ["stamps"]
+    assert JOINTS in said(trial)
+
+
+def test_images_that_end_before_the_close_are_told(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where a label decides a trial whose grasp nobody saw."""
+    start = min(m[0] for m in messages)
+    listed = [m for m in messages if m[1] not in (COLOUR, DEPTH) or m[0] - start < 2e9]
+    assert {"gap", "events"} <= set(names(opened(write(tmp_path / "a.mcap", listed))))
+
+
+def test_a_description_that_changes_is_told(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where the last of two robots is taken for both."""
+    one = next(m for m in messages if m[1] == DESCRIPTION)
+    other = TYPES[STRING](data=one[3].data.replace('xyz="0 0', 'xyz="0.05 0', 1))
+    assert other.data != one[3].data
+    listed = [*messages, [one[0] + 2_000_000_000, DESCRIPTION, STRING, other]]
+    assert "tree" in names(opened(write(tmp_path / "a.mcap", listed)))
+
+
+def test_a_static_frame_that_is_given_twice_is_told(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where the last of two mounts counts for the time before it too, without a word."""
+    start = min(m[0] for m in messages)
+    stamp = next(m for m in messages if m[1] == COLOUR)[3].header
+    listed = list(messages)
+    for seconds, x in ((0, 0.0), (2, 0.05)):
+        header = copy.deepcopy(stamp)
+        header.frame_id = "palm_link"
+        pose = TYPES["geometry_msgs/msg/Transform"](
+            translation=TYPES["geometry_msgs/msg/Vector3"](x=x, y=0.0, z=0.0),
+            rotation=TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        edge = TYPES["geometry_msgs/msg/TransformStamped"](
+            header=header, child_frame_id="mount", transform=pose
+        )
+        kind = "tf2_msgs/msg/TFMessage"
+        listed.append([start + seconds * 10**9, "/tf_static", kind, TYPES[kind](transforms=[edge])])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert names(trial) == ["tree"]
+    assert "50 mm" in said(trial)
+
+
+def test_joints_that_nobody_recorded_are_named(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where the times of joint states are blamed for names that don't fit the description."""
+
+    def prefixed(_: int, value: Any) -> Any:
+        return joints(value, value.position, [f"robot/{name}" for name in value.name])
+
+    trial = opened(write(tmp_path / "a.mcap", with_joints(messages, prefixed)))
+    assert "poses" in names(trial)
+    assert "no states are recorded of the joints above the camera" in said(trial)
+
+
+def test_a_label_that_comes_before_the_close_is_told(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where the label of the trial before decides this one."""
+    start = min(m[0] for m in messages)
+    label = TYPES[STRING](data='{"event": "label", "label": "success"}')
+    listed = [m for m in messages if m[1] != EVENTS or "label" not in m[3].data]
+    listed.append([start + 100_000_000, EVENTS, STRING, label])
+    assert names(opened(write(tmp_path / "a.mcap", listed))) == ["label"]
+
+
+def test_a_close_of_fingers_that_stand_still_is_told(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    first = next(m for m in messages if m[1] == JOINTS)[3]
+    arm = 4  # the joints that move the hand; those of the fingers follow
+
+    def still(_: int, value: Any) -> Any:
+        return joints(value, [*value.position[:arm], *first.position[arm:]])
+
+    trial = opened(write(tmp_path / "a.mcap", with_joints(messages, still)))
+    assert trial.close.source == "event"
+    assert any("never close" in note for note in trial.notes)
+
+
+def test_a_mask_of_valid_depth_is_no_target(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where the whole picture is the target; also where a mask is 0 on the object."""
+    for name in ("/camera/depth/valid_mask", "/segmentation/mask"):
+        listed = list(messages)
+        for m in messages:
+            if m[1] == COLOUR:
+                pixels = np.full((240, 320), 255, np.uint8)
+                pixels[70:150, 170:250] = 0
+                listed.append(
+                    [m[0] + 1, name, "sensor_msgs/msg/Image", image(m[3], pixels, "mono8")]
+                )
+        trial = opened(write(tmp_path / "a.mcap", listed))
+        marks = marks_of(
+            trial.scan, trial.roles.target, trial.pairs, trial.reader.camera, trial.robot
+        )
+        assert marks == []
+
+
+def test_poses_of_two_objects_are_two_marks(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where the first of several topics by alphabet is the target."""
+    kind = "geometry_msgs/msg/PoseStamped"
+    colour = next(m for m in messages if m[1] == COLOUR)
+    listed = list(messages)
+    for name, x in (("/object_a/pose", -0.05), ("/object_b/pose", 0.05)):
+        pose = TYPES["geometry_msgs/msg/Pose"](
+            position=TYPES["geometry_msgs/msg/Point"](x=x, y=0.0, z=0.4),
+            orientation=TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        listed.append([colour[0] + 1, name, kind, TYPES[kind](header=colour[3].header, pose=pose)])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    (mark,) = marks_of(
+        trial.scan, trial.roles.target, trial.pairs, trial.reader.camera, trial.robot
+    )
+    assert len(mark.boxes) == 2
+
+
+def test_a_picture_of_another_size_than_its_intrinsics_is_refused(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where each frame is called damage; the mend has the matrix of the resized picture."""
+    listed = []
+    for m in messages:
+        value = m[3]
+        if m[1] == INFO:
+            value = copy.deepcopy(value)
+            value.width, value.height = 640, 480
+            value.k = value.k * np.array([2, 1, 2, 1, 2, 2, 1, 1, 1])
+        listed.append([*m[:3], value])
+    path = write(tmp_path / "a.mcap", listed)
+    with pytest.raises(UsageError, match=r"320x240.*640x480") as error:
+        opened(path)
+    fx = float(str(error.value).split("calibration.intrinsics=[")[1].split(",")[0])
+    plain = opened(write(tmp_path / "b.mcap", messages)).camera
+    assert fx == pytest.approx(plain.fx, rel=1e-3)
+
+
+def test_a_frame_that_is_in_no_tree_is_named(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where "no camera pose recorded" is said of a frame with a prefix too many."""
+    listed = []
+    for m in messages:
+        value = m[3]
+        if m[1] in (COLOUR, DEPTH, INFO):
+            value = copy.deepcopy(value)
+            value.header.frame_id = "robot1/" + value.header.frame_id
+        listed.append([*m[:3], value])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert any("'robot1/" in note and "neither" in note for note in trial.notes)
+
+
+def test_a_joint_that_turns_on_over_the_end_of_its_range() -> None:
+    """Fails where a wrist at 3.1 and -3.1 rad was at 0 in between."""
+    track = JointTrack({"wrist": [0, 100]}, {"wrist": [3.1, -3.1]})
+    there = track.at("wrist", 50, 1000)
+    assert there is not None
+    assert np.cos(there) == pytest.approx(-1.0, abs=1e-6)
+
+
+def test_a_body_frame_in_place_of_the_optical_one_is_told(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where every speed is that of a camera which looks elsewhere: the description's optical
+    frame is turned back to the body's axes, under the same name.
+    """
+    one = next(m for m in messages if m[1] == DESCRIPTION)
+    frame = "camera_color_optical_frame"
+    extra = (
+        f'<link name="{frame}"/><joint name="body" type="fixed"><parent link="optical_as_it_was"/>'
+        f'<child link="{frame}"/><origin xyz="0 0 0" rpy="1.5707963268 -1.5707963268 0"/></joint>'
+    )
+    text = one[3].data.replace(frame, "optical_as_it_was").replace("</robot>", f"{extra}</robot>")
+    listed = [m for m in messages if m[1] != DESCRIPTION]
+    listed.append([one[0], DESCRIPTION, STRING, TYPES[STRING](data=text)])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert "camera_poses" in names(trial)
+    assert "body" in said(trial)
