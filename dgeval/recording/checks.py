@@ -47,6 +47,7 @@ NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is 
 CLOCK_STEP_S = 0.25  # s, by which a clock is said to have been set; ours
 BEFORE_AFTER_S = 1.0  # s of messages on each side of a step; a burst of late ones is shorter
 LEAST_BESIDE = 5  # messages on each side
+MOST_STEPS = 100  # that are looked at; a stream with more has no clock that was set once
 LONGEST_GAP_S = 1.0  # s, as long as velocity and model are carried on (`estimation`)
 MOST_WORDS = 6  # that a sentence lists
 MOST_DROPPED = 0.1  # share of a stream whose stamps can't be used; ours
@@ -177,7 +178,8 @@ def _clock_steps(scan: Scan, roles: Roles) -> list[Check]:
             continue
         header, log = header[header > 0], log[header > 0]
         late = (log - header) * 1e-9
-        for k in np.flatnonzero(np.abs(np.diff(late)) > CLOCK_STEP_S) + 1:
+        steps = np.flatnonzero(np.abs(np.diff(late)) > CLOCK_STEP_S) + 1
+        for k in steps[:MOST_STEPS]:
             near = np.abs(log - log[k]) * 1e-9 < BEFORE_AFTER_S
             before, after = late[:k][near[:k]], late[k:][near[k:]]
             if min(len(before), len(after)) < LEAST_BESIDE:

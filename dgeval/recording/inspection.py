@@ -218,6 +218,9 @@ def _answers(
     if not images and not out["timing"].get("pairs"):
         images = ["colour and depth that pair up in time"]
     pose = [] if robot is not None and robot.base_frame else ["camera_pose"]
+    failed = {c.name for c in trial.checks} if isinstance(trial, Trial) else set[str]()
+    if failed & {"poses", "camera_poses"}:
+        pose = ["camera poses that can be used"]
     hand = [] if robot is not None and robot.palm_frame else ["hand_pose"]
     geometry = [] if robot is not None and robot.hand_links else ["hand_joints with a description"]
     # inferred closes count, and a hand that is known not to have closed

@@ -186,6 +186,12 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
             notes.append(
                 f"only static frames from {chain[-1]!r} to the camera are recorded, and no robot: "
                 "no camera pose; record /tf, or set frames.base if that frame stands still"
+                + (
+                    f"; {roles.hand_pose} is recorded: if it is the pose of {chain[-1]!r}, publish "
+                    "it on /tf"
+                    if roles.hand_pose
+                    else ""
+                )
             )
     if base is not None and base not in tree.ancestors(camera):
         raise UsageError(f"frames.base = {base!r} is not above the camera frame {camera!r} in tf")
