@@ -51,6 +51,13 @@ def test_a_recorder_that_was_paused_between_two_trials(
         assert any("pauses" in note for note in trial.notes)
 
 
+def test_without_a_robot_lost_images_are_no_pause(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where nothing but images is recorded, and a hole in them begins another trial."""
+    listed = [m for m in twice(messages, 8.0) if m[1] not in ("/joint_states", "/tf")]
+    (spec,) = find_trials([write(tmp_path / "a.mcap", listed)])
+    assert "gap" in [c.name for c in open_trial(spec, Config()).checks]
+
+
 @pytest.mark.parametrize(("pause_s", "but"), [(2.0, None), (8.0, "/joint_states")])
 def test_what_is_no_pause_is_no_end_of_a_trial(
     tmp_path: Path, messages: list[Message], pause_s: float, but: str | None
