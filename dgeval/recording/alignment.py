@@ -60,18 +60,24 @@ def _fill(
             z = depth[v, u]
             if z <= 0.0:
                 continue
+            # the pixel's first corner in the colour camera's frame, and its two sides
+            x, y = (u - 0.5 - kd[2]) / kd[0], (v - 0.5 - kd[3]) / kd[1]
+            X = (T[0, 0] * x + T[0, 1] * y + T[0, 2]) * z + T[0, 3]
+            Y = (T[1, 0] * x + T[1, 1] * y + T[1, 2]) * z + T[1, 3]
+            Z = (T[2, 0] * x + T[2, 1] * y + T[2, 2]) * z + T[2, 3]
+            a, b = z / kd[0], z / kd[1]
             left = top = np.inf
             right = bottom = -np.inf
             middle, in_front = 0.0, True
             for corner in range(4):
-                x = (u + (corner % 2) - 0.5 - kd[2]) / kd[0] * z
-                y = (v + (corner // 2) - 0.5 - kd[3]) / kd[1] * z
-                there = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+                p, q = a * (corner % 2), b * (corner // 2)
+                there = Z + T[2, 0] * p + T[2, 1] * q
                 if there <= 0.01:
                     in_front = False
                     break
-                uc = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / there * kc[0] + kc[2]
-                vc = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / there * kc[1] + kc[3]
+                near = 1.0 / there
+                uc = (X + T[0, 0] * p + T[0, 1] * q) * near * kc[0] + kc[2]
+                vc = (Y + T[1, 0] * p + T[1, 1] * q) * near * kc[1] + kc[3]
                 left, right = min(left, uc), max(right, uc)
                 top, bottom = min(top, vc), max(bottom, vc)
                 middle += there / 4
