@@ -30,6 +30,7 @@ from dgeval.recording.grippers import (
     TrackKind,
     effort_track,
     is_command_topic,
+    is_effort_topic,
 )
 from dgeval.recording.messages import Event
 from dgeval.recording.robot import RobotStates
@@ -206,6 +207,10 @@ def gripper_tracks(scan: Scan, robot: RobotStates) -> tuple[GripperTrack, ...]:
     for topic, pairs in sorted(scan.grippers.items()):
         rows = sorted(dict(pairs).items())
         kind = scan.opened.topics[topic].type
+        if is_effort_topic(topic) and not is_command_topic(topic, kind):
+            track = effort_track(topic, rows)
+            out += [] if track is None else [track]
+            continue
         times = np.array([t for t, _ in rows], dtype=np.int64)
         values = np.array([v for _, v in rows])
         what: TrackKind = "command" if is_command_topic(topic, kind) else "width"

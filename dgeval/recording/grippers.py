@@ -17,6 +17,9 @@ from dgeval.geometry import Array
 
 GRIPPER_WORDS = ("gripper", "finger", "jaw", "hand")
 COMMAND_WORDS = ("command", "cmd", "goal", "desired", "target", "setpoint")
+# words in the last part of a topic's name that is no position, and that is an effort
+NO_POSITION = ("speed", "veloc", "temp", "volt", "rate", "status_code")
+EFFORT_WORDS = ("force", "effort", "torque", "current")
 # types whose number is what a gripper is told to do
 COMMAND_TYPES = ("Goal", "GripperCommand", "robot_output", "CommandedState")
 # what ROS 2 records of an action: which goals it has, and since when
@@ -66,6 +69,8 @@ class GripperTrack:
             # a topic of single commands; a stream of them begins with what holds already
             first = self.times[:1] if len(self.times) <= SINGLE else self.times[:0]
             given = [*first, *self.times[1:][step]]
+            if not given and span > 1e-6:  # a command that is a ramp
+                given = [start for start, _ in _motions(self.times, self.values, span)]
             return [(int(t), int(t)) for t in given]
         if span < 1e-6:
             return []
@@ -96,16 +101,26 @@ def _motions(times: NDArray[np.int64], values: Array, span: float) -> list[tuple
 def is_gripper_topic(name: str, kind: str) -> bool:
     """Whether a topic is a gripper's, by its name and by its type."""
     has_word = any(word in name.lower() for word in GRIPPER_WORDS)
+    has_word &= not any(word in _last(name) for word in NO_POSITION)
     known = kind in (*NUMBERS, GOALS) or "ripper" in kind or kind.endswith("GraspActionGoal")
     return has_word and known
 
 
+def is_effort_topic(name: str) -> bool:
+    """Whether a gripper's topic says how hard it presses."""
+    return any(word in _last(name) for word in EFFORT_WORDS)
+
+
+def _last(name: str) -> str:
+    """The last part of a topic's name, in small letters."""
+    return name.lower().rsplit("/", 1)[-1]
+
+
 def is_command_topic(name: str, kind: str) -> bool:
     """Whether a gripper's topic says what it is told, and not where it is."""
-    last = name.lower().rsplit("/", 1)[-1]
     if kind == GOALS:
         return True
-    return any(word in last for word in COMMAND_WORDS) or any(
+    return any(word in _last(name) for word in COMMAND_WORDS) or any(
         kind.endswith(t) for t in COMMAND_TYPES
     )
 

@@ -13,6 +13,7 @@ from dgeval.recording.events import Events
 from dgeval.recording.grippers import (
     GripperTrack,
     is_command_topic,
+    is_effort_topic,
     is_gripper_topic,
     number_of,
 )
@@ -66,7 +67,18 @@ def test_where_a_message_has_its_number(message: Any, value: float | None) -> No
     assert number_of(message) == value
 
 
+def test_a_command_that_is_a_ramp() -> None:
+    """Fails where a close that is told in small steps is none."""
+    ramp = [0.0] * 20 + [255.0 * k / 15 for k in range(16)] + [255.0] * 20
+    ((start, _),) = track(ramp, True, 0.02).changes()
+    assert abs(start - 0.4 * S) < 0.07 * S
+
+
 def test_topics_of_grippers() -> None:
+    assert not is_gripper_topic("/gripper/speed_command", "std_msgs/msg/Float64")
+    assert not is_gripper_topic("/gripper/temperature", "std_msgs/msg/Float32")
+    assert is_effort_topic("/gripper/force")
+    assert not is_effort_topic("/force_gripper/width")
     assert is_gripper_topic("/gripper/width", "std_msgs/msg/Float64")
     assert is_gripper_topic("/franka_gripper/grasp/goal", "franka_gripper/msg/GraspActionGoal")
     assert not is_gripper_topic("/gripper/image", "sensor_msgs/msg/Image")
