@@ -69,9 +69,10 @@ class GripperTrack:
             # a topic of single commands; a stream of them begins with what holds already
             first = self.times[:1] if len(self.times) <= SINGLE else self.times[:0]
             given = [*first, *self.times[1:][step]]
-            if not given and span > 1e-6:  # a command that is a ramp
-                given = [start for start, _ in _motions(self.times, self.values, span)]
-            return [(int(t), int(t)) for t in given]
+            motions = _motions(self.times, self.values, span) if span > 1e-6 else []
+            # a command may be a ramp of small steps
+            given += [a for a, b in motions if not any(a <= t <= b for t in given)]
+            return [(int(t), int(t)) for t in sorted(given)]
         if span < 1e-6:
             return []
         return _motions(self.times, self.values, span)

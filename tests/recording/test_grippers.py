@@ -70,8 +70,9 @@ def test_where_a_message_has_its_number(message: Any, value: float | None) -> No
 def test_a_command_that_is_a_ramp() -> None:
     """Fails where a close that is told in small steps is none."""
     ramp = [0.0] * 20 + [255.0 * k / 15 for k in range(16)] + [255.0] * 20
-    ((start, _),) = track(ramp, True, 0.02).changes()
+    ((start, _), (released, _)) = track([*ramp, *[0.0] * 20], True, 0.02).changes()
     assert abs(start - 0.4 * S) < 0.07 * S
+    assert abs(released - 1.12 * S) < 0.03 * S
 
 
 def test_topics_of_grippers() -> None:
