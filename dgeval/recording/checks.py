@@ -6,6 +6,7 @@ the same ones. A check that a team knows of is accepted by name (`checks.accept`
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -84,7 +85,7 @@ def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | N
     topic, robot = max(robots.items(), key=lambda item: abs(item[1] - camera))
     apart = camera - robot
     if abs(apart) <= CLOCKS_TOLD_S:
-        return None, ""
+        return None, _drift_note(scan, roles, robots)
     side = "behind" if apart > 0 else "ahead of"
     what = f"the camera's stamps are {abs(apart):.2f} s {side} those of {topic}, by the recorder"
     colour, depth = (round(apart * 1e9) + c.offset_ns for c in (clock.colour, clock.depth))
@@ -102,6 +103,29 @@ def _delay(scan: Scan, topic: str | None, offset_ns: int) -> float | None:
     if len(header) != len(log) or not len(log) or not header.any():
         return None
     return float(np.median(log - header - offset_ns)) * 1e-9
+
+
+def _drift_note(scan: Scan, roles: Roles, robots: Iterable[str]) -> str:
+    """A note where the delay to the recorder changes over the recording by more for a topic of the
+    robot than for the camera; "" without.
+    """
+
+    def change(topic: str) -> float:
+        header, log = scan.times[topic].arrays()
+        late = (log - header) * 1e-9
+        quarter = max(1, len(late) // 4)
+        return float(np.median(late[-quarter:]) - np.median(late[:quarter]))
+
+    assert roles.colour is not None
+    of_camera = change(roles.colour)
+    apart = {topic: change(topic) - of_camera for topic in robots}
+    topic = max(sorted(apart), key=lambda t: abs(apart[t]))
+    if abs(apart[topic]) <= CLOCKS_TOLD_S:
+        return ""
+    return (
+        f"over the recording the stamps of {topic} move by {-apart[topic]:+.2f} s against those of "
+        "the camera, by the recorder: does one clock run faster, or do messages queue up?"
+    )
 
 
 def failed_checks(

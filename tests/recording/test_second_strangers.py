@@ -116,6 +116,23 @@ def test_a_robots_clock_that_is_set_is_told(tmp_path: Path, messages: list[Messa
     assert JOINTS in said(trial)
 
 
+def test_a_clock_that_runs_fast_is_told(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where a robot whose clock runs 3 % fast gives a speed 4 % wrong, without a word."""
+    first = next(m for m in messages if m[1] == JOINTS)[3].header.stamp
+    start = first.sec * 10**9 + first.nanosec
+    listed = []
+    for m in messages:
+        value = m[3]
+        if m[1] == JOINTS:
+            value = copy.deepcopy(value)
+            stamp = value.header.stamp
+            t_ns = start + round((stamp.sec * 10**9 + stamp.nanosec - start) * 1.03)
+            stamp.sec, stamp.nanosec = t_ns // 10**9, t_ns % 10**9
+        listed.append([*m[:3], value])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert any("one clock run faster" in note and JOINTS in note for note in trial.notes)
+
+
 def test_images_that_end_before_the_close_are_told(tmp_path: Path, messages: list[Message]) -> None:
     """Fails where a label decides a trial whose grasp nobody saw."""
     start = min(m[0] for m in messages)
