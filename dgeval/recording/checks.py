@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.config import ClockConfig
+from dgeval.recording.camera_motion import moved_pairs
+from dgeval.recording.camera_poses import wrong_poses
 from dgeval.recording.containers.opening import missing_parts
 from dgeval.recording.contract import (
     CLOSE_EVENT,
@@ -25,7 +27,7 @@ from dgeval.recording.contract import (
     TRIAL_END_EVENT,
     label_of,
 )
-from dgeval.recording.depth_unit import wrong_poses, wrong_unit
+from dgeval.recording.depth_unit import wrong_unit
 from dgeval.recording.events import Events
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.joint_checks import joint_faults
@@ -320,13 +322,15 @@ def _against_the_scene(reader: FrameReader, is_integer: bool) -> list[Check]:
     at = np.unique(np.linspace(0, len(reader.pairs) - 1, SAMPLED).astype(int))
     pairs = tuple(reader.pairs[k] for k in at)
     frames = list(replace(reader, pairs=pairs, lost=LostFrames([])).frames())
-    found = wrong_unit(frames)
+    pairs_moved = moved_pairs(frames)
+    found = wrong_unit(frames, pairs_moved)
     if found is None:
-        how = wrong_poses(frames)
-        if how is None:
+        robot = reader.robot
+        if robot.base_frame is None:
             return []
-        what = f"the pose of the frame {reader.robot.camera_frame!r} {how}"
-        return [Check("camera_poses", what, "name the optical frame (frames.camera), or mend /tf")]
+        what = wrong_poses(pairs_moved, robot.tree, robot.base_frame, robot.camera_frame)
+        mend = "name the optical frame (frames.camera), or mend the transform"
+        return [] if what is None else [Check("camera_poses", what, mend)]
     what, factor = found
     given = reader.camera.depth_scale
     stated = "" if given is None else f" with a scale of {given:g}"

@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dgeval.geometry import Array, matrix_from_pose
+from dgeval.geometry import Array, Box, matrix_from_pose
 from dgeval.recording.messages import pose_numbers, stamp_ns
-
-Box = tuple[float, float, float, float]  # x0, y0, x1, y1 px
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from dgeval.geometry import Array, matrix_from_pose, transform
+from dgeval.geometry import Array, Box, matrix_from_pose, transform
 from dgeval.recording.camera import Camera
 from dgeval.recording.containers.container import Opened
-from dgeval.recording.detections import Box, Detection
+from dgeval.recording.detections import Detection
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import stamp_ns
 from dgeval.recording.pairing import Pair

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dgeval.geometry import Array, interpolate_pose, invert, matrix_from_pose
+from dgeval.geometry import Array, interpolate_pose, invert, matrix_from_pose, pose_from_matrix
 
 EXACT_NS = 1_000  # ns; a sample this near in time is used as it is
 # m and quaternion parts; two poses that differ by less are one mount, published now and then
@@ -70,6 +70,11 @@ class Track:
         )
 
 
+def _w_first(pose: Array) -> Array:
+    """(7,) the pose whose quaternion was written w x y z into x y z w."""
+    return np.concatenate([pose[:3], np.roll(pose[3:], -1)])
+
+
 Ways = tuple[list[str], list[str]]
 
 
@@ -83,13 +88,21 @@ class TransformTree:
     computed: dict[str, tuple[str, Callable[[int], Array | None]]] = field(default_factory=dict)
     # by (target, source), the frames from each up to where they meet; empty after any change
     _ways: dict[tuple[str, str], Ways | None] = field(default_factory=dict, repr=False)
+    # the edges at the time that was asked for last, and that time; empty after any change
+    _edges: dict[str, Array | None] = field(default_factory=dict, repr=False)
+    _edges_ns: int = 0
 
     def add_moving(self, t_ns: int, parent: str, child: str, pose: Array) -> None:
         """Add a sample; each one has its own parent, as in tf2."""
-        self._ways.clear()
+        self._forget()
         if child not in self.moving:
             self.moving[child] = (parent, Track())
         self.moving[child][1].add(t_ns, pose, parent)
+
+    def _forget(self) -> None:
+        """What was found out before a change."""
+        self._ways.clear()
+        self._edges.clear()
 
     def reparented(self) -> dict[str, list[str]]:
         """The frames whose parent changes, each with its parents by name."""
@@ -101,16 +114,30 @@ class TransformTree:
 
     def drop_moving(self, child: str) -> None:
         """Forget the samples of a frame, if it has any."""
-        self._ways.clear()
+        self._forget()
         self.moving.pop(child, None)
 
     def add_computed(self, parent: str, child: str, edge: Callable[[int], Array | None]) -> None:
         """Add a frame whose T_parent_child (4, 4) follows from a time, ns; None where unknown."""
-        self._ways.clear()
+        self._forget()
         self.computed[child] = (parent, edge)
 
+    def with_w_first(self, child: str) -> TransformTree | None:
+        """The tree with the recorded quaternions of one frame read as w x y z; None where none of
+        it is recorded.
+        """
+        if child in self.moving:
+            parent, track = self.moving[child]
+            other = replace(track, poses=[_w_first(pose) for pose in track.poses])
+            return replace(self, moving={**self.moving, child: (parent, other)}, _edges={})
+        if child in self.static:
+            parent, T = self.static[child]
+            turned = matrix_from_pose(_w_first(pose_from_matrix(T)))
+            return replace(self, static={**self.static, child: (parent, turned)}, _edges={})
+        return None
+
     def add_static(self, parent: str, child: str, T_parent_child: Array) -> None:
-        self._ways.clear()
+        self._forget()
         self.static[child] = (parent, T_parent_child)
 
     def frames(self) -> set[str]:
@@ -141,6 +168,15 @@ class TransformTree:
         return chain
 
     def _edge(self, child: str, t_ns: int) -> Array | None:
+        """T_parent_child at a time; kept, as one time is asked for by camera, palm and fingers."""
+        if t_ns != self._edges_ns:
+            self._edges.clear()
+            self._edges_ns = t_ns
+        if child not in self._edges:
+            self._edges[child] = self._edge_at(child, t_ns)
+        return self._edges[child]
+
+    def _edge_at(self, child: str, t_ns: int) -> Array | None:
         """T_parent_child at a time; a recorded edge goes before a computed one."""
         if child in self.moving:
             pose = self.moving[child][1].sample(t_ns, self.max_gap_ns)
@@ -156,14 +192,17 @@ class TransformTree:
             return None
         halves = []
         for way in ways:
-            T = np.eye(4)
+            T: Array | None = None
             for child in way:
                 edge = self._edge(child, t_ns)
                 if edge is None:
                     return None
-                T = edge @ T
+                T = edge if T is None else edge @ T
             halves.append(T)
         T_common_target, T_common_source = halves
+        T_common_source = np.eye(4) if T_common_source is None else T_common_source
+        if T_common_target is None:
+            return T_common_source.copy()
         return invert(T_common_target) @ T_common_source
 
     def _ways_to(self, target: str, source: str, t_ns: int) -> Ways | None:

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgeval.config import Config
-from dgeval.geometry import Array, invert, matrix_from_pose
+from dgeval.geometry import Array, Box, invert, matrix_from_pose
 from dgeval.perception.pipeline import Perception
-from dgeval.perception.target import Box, candidates, nearest_thing
+from dgeval.perception.target import candidates, nearest_thing
 from dgeval.recording.contract import CLOSE_EVENT, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import LostFrames

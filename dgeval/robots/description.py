@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgeval.errors import Place, UsageError, describe
-from dgeval.geometry import Array, rotation_about
+from dgeval.geometry import IDENTITY, Array, rotation_about
 
 if TYPE_CHECKING:
     import yourdfpy
@@ -56,11 +56,13 @@ class Joint:
 
     def at(self, q: float) -> Array:
         """T_parent_child (4, 4) at joint position q, rad or m, of the joint it follows."""
-        T = np.eye(4)
+        if self.kind == "fixed":
+            return self.origin.copy()
+        T = IDENTITY.copy()
         value = self.multiplier * q + self.offset
         if self.kind == "revolute":
             T[:3, :3] = rotation_about(self.axis, value)
-        elif self.kind == "prismatic":
+        else:
             T[:3, 3] = self.axis * value
         return np.asarray(self.origin @ T)
 

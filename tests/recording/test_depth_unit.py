@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dgeval.geometry import Intrinsics
+from dgeval.recording.camera_motion import moved_pairs
 from dgeval.recording.depth_unit import factor_by_motion, wrong_unit
 from dgeval.recording.frame import Frame
 
@@ -31,26 +32,26 @@ def plane(height: float, x: float, tilt: float, scale: float, noise: int = 0) ->
 def test_a_descent_tells_the_unit(scale: float) -> None:
     """Fails where ten times too large passes, as 0.1 mm read as millimetres does."""
     frames = [plane(0.6 - 0.04 * k, 0.01 * k, 0.2, scale, k) for k in range(8)]
-    factor = factor_by_motion(frames)
+    factor = factor_by_motion(moved_pairs(frames))
     assert factor is not None
     assert abs(np.log(factor * scale)) < 0.2
-    assert (wrong_unit(frames) is None) == (scale == 1.0)
+    assert (wrong_unit(frames, moved_pairs(frames)) is None) == (scale == 1.0)
 
 
 def test_a_camera_that_only_slides_along_the_table_tells_nothing_wrong() -> None:
     """Fails where the share of a few noisy pixels decides."""
     frames = [plane(0.5, 0.03 * k, 0.0, 1.0, k) for k in range(8)]
-    assert wrong_unit(frames) is None
+    assert wrong_unit(frames, moved_pairs(frames)) is None
 
 
 def test_a_camera_that_stands_still_says_nothing() -> None:
     frames = [plane(0.5, 0.0, 0.1, 10.0, k) for k in range(8)]
-    assert factor_by_motion(frames) is None
-    assert wrong_unit(frames) is None
+    assert factor_by_motion(moved_pairs(frames)) is None
+    assert wrong_unit(frames, moved_pairs(frames)) is None
 
 
 def test_millimetres_as_metres_need_no_motion() -> None:
-    found = wrong_unit([plane(0.5, 0.0, 0.0, 1000.0)])
+    found = wrong_unit([plane(0.5, 0.0, 0.0, 1000.0)], [])
     assert found is not None
     assert found[1] == 1e-3
 
@@ -59,7 +60,7 @@ def test_what_moves_with_the_camera_is_no_wrong_unit() -> None:
     """Fails where a hand that fills the picture, always at one depth, calls the unit wrong."""
     frames = [plane(0.6 - 0.04 * k, 0.01 * k, 0.2, 1.0, k) for k in range(8)]
     still = [replace(f, depth=frames[0].depth) for f in frames]
-    assert wrong_unit(still) is None
+    assert wrong_unit(still, moved_pairs(still)) is None
 
 
 def test_what_comes_towards_the_camera_is_no_wrong_unit() -> None:
@@ -67,4 +68,4 @@ def test_what_comes_towards_the_camera_is_no_wrong_unit() -> None:
     seen = [plane(0.6 - 0.06 * k, 0.0, 0.2, 1.0, k) for k in range(6)]
     camera = [plane(0.6 - 0.03 * k, 0.0, 0.2, 1.0, k) for k in range(6)]
     frames = [replace(a, T_base_camera=b.T_base_camera) for a, b in zip(seen, camera, strict=True)]
-    assert wrong_unit(frames) is None
+    assert wrong_unit(frames, moved_pairs(frames)) is None

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from dgeval.config import Config
 from dgeval.errors import UsageError
-from dgeval.geometry import Array
+from dgeval.geometry import Array, pose_from_matrix
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.recorded_target import marks_of
 from dgeval.recording.robot import JointTrack
@@ -284,6 +284,48 @@ def test_a_joint_that_turns_on_over_the_end_of_its_range() -> None:
     there = track.at("wrist", 50, 1000)
     assert there is not None
     assert np.cos(there) == pytest.approx(-1.0, abs=1e-6)
+
+
+def as_transforms(tmp_path: Path, messages: list[Message], w_first: str) -> list[Message]:
+    """The demo with /tf from the base to the hand and /tf_static to the camera, and neither joints
+    nor description; on one of the two topics quaternions are written w first.
+    """
+    robot = opened(write(tmp_path / "as_it_is.mcap", messages)).robot
+    kind, camera = "tf2_msgs/msg/TFMessage", "camera_color_optical_frame"
+
+    def edge(topic: str, parent: str, child: str, at: Message) -> Message:
+        stamp = at[3].header.stamp
+        T = robot.tree.lookup(parent, child, stamp.sec * 10**9 + stamp.nanosec)
+        assert T is not None
+        x, y, z, *q = map(float, pose_from_matrix(T))
+        if topic == w_first:
+            q = [q[3], *q[:3]]
+        transform = TYPES["geometry_msgs/msg/Transform"](
+            translation=TYPES["geometry_msgs/msg/Vector3"](x=x, y=y, z=z),
+            rotation=TYPES["geometry_msgs/msg/Quaternion"](*q),
+        )
+        header = TYPES["std_msgs/msg/Header"](stamp=stamp, frame_id=parent)
+        named = TYPES["geometry_msgs/msg/TransformStamped"](
+            header=header, child_frame_id=child, transform=transform
+        )
+        return [at[0], topic, kind, TYPES[kind](transforms=[named])]
+
+    states = [m for m in messages if m[1] == JOINTS]
+    listed = [m for m in messages if m[1] not in (JOINTS, DESCRIPTION)]
+    listed.append(edge("/tf_static", "hand_base", camera, states[0]))
+    return [*listed, *(edge("/tf", "base_link", "hand_base", m) for m in states)]
+
+
+@pytest.mark.parametrize("topic", ["/tf", "/tf_static", ""])
+def test_a_quaternion_written_w_first_is_told(
+    tmp_path: Path, messages: list[Message], topic: str
+) -> None:
+    """Fails where each speed is that of a camera which looks elsewhere, or where the right order is
+    called wrong.
+    """
+    trial = opened(write(tmp_path / "a.mcap", as_transforms(tmp_path, messages, topic)))
+    assert ("camera_poses" in names(trial)) == bool(topic)
+    assert ("written w first" in said(trial)) == bool(topic)
 
 
 def test_a_body_frame_in_place_of_the_optical_one_is_told(

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.config import TrackingConfig
-from dgeval.geometry import Array
+from dgeval.geometry import Array, Box
 
 Grey = NDArray[np.uint8]
-Box = tuple[float, float, float, float]
 # settings of OpenCV's pyramidal Lucas-Kanade flow; window in px
 LK: dict[str, Any] = {
     "winSize": (13, 13),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dgeval.config import Config
 from dgeval.determinism import generator
-from dgeval.geometry import Array, Intrinsics, depth_sigma, invert, rotation_angle, transform
+from dgeval.geometry import Array, Box, Intrinsics, depth_sigma, invert, rotation_angle, transform
 from dgeval.perception import align, segmentation
 from dgeval.perception.plane import Plane
 from dgeval.perception.self_filter import hand_pixels
@@ -22,7 +22,6 @@ from dgeval.perception.trackers.image import Grey, ImageTrack, corners, follow
 from dgeval.perception.types import Features, Model, Tracked, Window
 from dgeval.recording.frame import Frame
 
-Box = tuple[float, float, float, float]
 MAX_KEYFRAMES = 12  # keyframes that are kept
 GROWTH_PX = 6  # px beyond the model's silhouette in which new parts of the target are accepted
 RIM_FRAMES = 15  # accepted frames at the start in which the rim is measured

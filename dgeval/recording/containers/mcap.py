@@ -10,7 +10,8 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -20,7 +21,7 @@ import mcap.records
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+from mcap.stream_reader import CRCValidationError, StreamReader
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError, describe
 from dgeval.recording.containers.container import MCAP_MAGIC, RawMessage, Topic
@@ -28,6 +29,12 @@ from dgeval.recording.encodings import decoders, foxglove, json_text
 
 FOOTER_LENGTH = 1 + 8 + 20  # bytes: kind, length and content of the footer record, MCAP format
 MAX_CHUNK_BYTES = 1 << 30  # bytes, uncompressed; a larger claim is taken for damage
+RECORD_HEAD = struct.Struct("<BQ")  # kind, length
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time and publish time, ns
+DEFINITIONS: dict[int, Any] = {
+    int(Opcode.SCHEMA): mcap.records.Schema,
+    int(Opcode.CHANNEL): mcap.records.Channel,
+}
 # kinds of record that may stand before the end of the data section
 DATA_KINDS = frozenset(
     int(k)
@@ -284,12 +291,23 @@ class McapContainer:
             )
         if chunk.uncompressed_crc == 0:
             self._zero_crcs = True
-        plain = replace(chunk, compression="", data=_expand(chunk))
+        data = _expand(chunk)
+        found = zlib.crc32(data)
+        if chunk.uncompressed_crc not in (0, found):
+            raise CRCValidationError(chunk.uncompressed_crc, found, chunk)
         out: list[RawMessage] = []
-        for record in breakup_chunk(plain, validate_crc=True):
-            message = self._take(record, offset, topics)
-            if message is not None:
-                out.append(message)
+        for kind, start, end in _records(data):
+            if kind == Opcode.MESSAGE:
+                if end - start < MESSAGE_HEAD.size:
+                    raise mcap.exceptions.McapError("a message is shorter than its own head")
+                channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(data, start)
+                topic = self._channels[channel].topic
+                if topics is not None and topic in topics:
+                    payload = data[start + MESSAGE_HEAD.size : end]
+                    out.append(RawMessage(topic, log_ns, payload, offset))
+            elif kind in DEFINITIONS:
+                body = ReadDataStream(BytesIO(data[start:end]))
+                self._take(DEFINITIONS[kind].read(body), offset, topics)
         return out
 
     def _take(self, record: Any, offset: int, topics: frozenset[str] | None) -> RawMessage | None:
@@ -371,6 +389,22 @@ class McapContainer:
     def _refuse_unchunked(self) -> NoReturn:
         what = "the CRC over the data section does not match, and without chunks nothing says where"
         raise UnreadableError(what, self._place(), "record again or use `mcap recover`")
+
+
+def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Kind of each record in a chunk's bytes, and where its content starts and ends.
+
+    The mcap library makes an object of every message, also of those that nobody asked for, which
+    costs more than all else that is done with them.
+    """
+    at = 0
+    while at < len(data):
+        kind, length = RECORD_HEAD.unpack_from(data, at)
+        start = at + RECORD_HEAD.size
+        at = start + length
+        if at > len(data):
+            raise mcap.exceptions.McapError("a record reaches over the end of its chunk")
+        yield kind, start, at
 
 
 def _expand(chunk: mcap.records.Chunk) -> bytes:

@@ -1,0 +1,84 @@
+"""Whether the camera's poses fit what it sees, by its own motion past things that stand still."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from dgeval.geometry import Array, invert
+from dgeval.recording.camera_motion import LEAST_WORSE, MovedPair, misfit_of
+from dgeval.recording.transforms import TransformTree
+
+LEAST_PAIRS, CONTRADICTS = 5, 0.05  # pairs, and share of the depth by which poses don't fit; ours
+# share of the depth by which poses misfit at most that are right, and how many times more those do
+# whose quaternion is in another order; ours
+FITS, WORSE = 0.01, 2.5
+# z of the optical frame looks along x of the body, and x of it to the body's right
+T_BODY_OPTICAL = np.array(
+    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+
+
+def wrong_poses(
+    pairs: Sequence[MovedPair], tree: TransformTree, base: str, camera: str
+) -> str | None:
+    """What is wrong with T_base_camera of the tree; None where it fits, or nothing can be said.
+
+    It is of a body frame, x forward and z up, and not of the optical one; or a quaternion above the
+    camera is written w first; or it fits nothing: in no two frames is a point where the other has
+    it.
+    """
+    given = np.array([pair.as_given for pair in pairs])
+    if not len(given) or (given <= FITS).mean() > 0.5:
+        return None
+
+    def as_optical(t_ns: int) -> Array | None:
+        T = tree.lookup(base, camera, t_ns)
+        return None if T is None else T @ T_BODY_OPTICAL
+
+    turned = _misfits(pairs, as_optical)
+    turned[given <= LEAST_WORSE] = np.nan
+    comparable = ~np.isnan(given) | ~np.isnan(turned)  # else the pictures have nothing in common
+    if comparable.sum() >= LEAST_PAIRS and (turned[comparable] <= LEAST_WORSE).mean() > 0.5:
+        return (
+            f"the pose of the frame {camera!r} is of the camera's body, x forward and z up, "
+            "and not of its optical frame"
+        )
+    for child in tree.ancestors(camera):
+        other = tree.with_w_first(child)
+        if child == base or other is None:
+            continue
+        misfits = _misfits(pairs, partial(other.lookup, base, camera))
+        both = ~np.isnan(given) & ~np.isnan(misfits)
+        if (misfits <= FITS).sum() < LEAST_PAIRS or not both.any():
+            continue
+        least = max(WORSE * float(np.median(misfits[both])), FITS)
+        if np.nanmedian(misfits) <= FITS and np.median(given[both]) > least:
+            return (
+                f"the quaternion of the transform to {child!r} is written w first: read so, what "
+                "stands still stays where it is"
+            )
+    if comparable.sum() < LEAST_PAIRS:
+        return None
+    given = given[comparable]
+    share = float(np.nanmedian(given)) if not np.isnan(given).all() else float("nan")
+    if share > CONTRADICTS and not (given <= LEAST_WORSE).any():
+        return (
+            f"the pose of the frame {camera!r} does not fit what it sees: what stands still seems "
+            f"to move by {share:.0%}"
+        )
+    return None
+
+
+def _misfits(pairs: Sequence[MovedPair], pose: Callable[[int], Array | None]) -> Array:
+    """By pair, the misfit with T_base_camera at a time, ns, from elsewhere; NaN without."""
+    out = []
+    for pair in pairs:
+        T_a, T_b = pose(pair.a.t_ns), pose(pair.b.t_ns)
+        if T_a is None or T_b is None:
+            out.append(np.nan)
+        else:
+            out.append(misfit_of(pair.a, pair.b, invert(T_b) @ T_a)(1.0))
+    return np.array(out)
