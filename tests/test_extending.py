@@ -25,8 +25,8 @@ from dgeval.recording.inspection import inspect_recording
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
 from dgeval.replay.causal import replay
-from dgeval.robots.description import load_description
 from dgeval.robots.hand import hand_for, hand_of, hands
+from dgeval.robots.loading import load_description
 from dgeval.robots.urdf import robot_urdf
 from dgeval.runs.workers import replay_trials
 from dgeval.verdict.decide import Decision, Draw, Draws

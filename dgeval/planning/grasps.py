@@ -27,7 +27,7 @@ from dgeval.networks.ffhnet import (
     poses_of,
 )
 from dgeval.planning.hand_overlap import depth_below, overlap, standing_points
-from dgeval.robots.hand import Hand, hand_for
+from dgeval.robots.hand import KnownHand, hand_for
 
 # R_cloud_base for dgeval's own weights: they learned clouds with z down, whatever the camera's axes
 UPRIGHT = np.diag([1.0, -1.0, -1.0])
@@ -50,7 +50,7 @@ class Networks:
     generator: FFHGenerator
     evaluator: FFHEvaluator
     upright: bool = False
-    hand: Hand = field(default_factory=lambda: hand_for("ffhnet"))
+    hand: KnownHand = field(default_factory=lambda: hand_for("ffhnet"))
 
     @property
     def n_bps(self) -> int:
@@ -73,7 +73,7 @@ class EncodedCloud:
     bps: torch.Tensor
     mean: Array
     points: Array
-    hand: Hand
+    hand: KnownHand
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ import numpy as np
 from numba import njit
 
 from dgeval.geometry import Array, invert
-from dgeval.robots.hand import Hand
+from dgeval.robots.hand import KnownHand
 
 # m; spacing of the points added below observed points: across, and downwards
 COLUMN, LEVEL = 0.009, 0.014
 
 
-def overlap(points: Array, T_cloud_palm: Array, joints: Array, hand: Hand) -> Array:
+def overlap(points: Array, T_cloud_palm: Array, joints: Array, hand: KnownHand) -> Array:
     """Depth (n,) m of the deepest cloud point, of points (m, 3) m, inside the hand; 0 if none.
 
     For each palm pose T_cloud_palm (n, 4, 4) with drive positions (n, k) rad.
@@ -34,7 +34,7 @@ def overlap(points: Array, T_cloud_palm: Array, joints: Array, hand: Hand) -> Ar
 
 
 def depth_below(
-    normal: Array, offset: float, T_cloud_palm: Array, joints: Array, hand: Hand
+    normal: Array, offset: float, T_cloud_palm: Array, joints: Array, hand: KnownHand
 ) -> Array:
     """How far (n,) m the hand at each palm pose (n, 4, 4) reaches below the plane normal . p =
     offset.

@@ -23,8 +23,11 @@ from dgeval.recording.palm import palm_of
 from dgeval.recording.roles import Roles, joint_topics, merged_joints
 from dgeval.recording.scan import Scan, Transforms
 from dgeval.recording.transforms import TransformTree
-from dgeval.robots.description import Description, Joint, LinkShape, load_description
+from dgeval.robots.described_hand import described_hand
+from dgeval.robots.description import Description, Joint, LinkShape
 from dgeval.robots.hand import Hand
+from dgeval.robots.hand_links import hand_links
+from dgeval.robots.loading import load_description
 from dgeval.robots.recognition import known_hand
 
 # names of the robot's base in common descriptions, in order of preference
@@ -69,6 +72,17 @@ class JointTrack:
             after -= float(np.copysign(2 * np.pi, after - before))
         return (1 - share) * before + share * after
 
+    def first_ns(self, joint: Joint) -> int:
+        """The time from which on the position of a joint is known; 0 where it never is."""
+        return next(iter(self.times.get(joint.name) or self.times.get(joint.follows) or ()), 0)
+
+    def position(self, joint: Joint, t_ns: int, max_gap_ns: int) -> float | None:
+        """Position of a joint as recorded, else by the one that it follows; None without either."""
+        if joint.name in self.times or joint.follows == joint.name:
+            return self.at(joint.name, t_ns, max_gap_ns)
+        q = self.at(joint.follows, t_ns, max_gap_ns)
+        return None if q is None else joint.multiplier * q + joint.offset
+
 
 @dataclass(frozen=True)
 class RobotStates:
@@ -94,9 +108,40 @@ class RobotStates:
     samples: tuple[JointSample, ...] = ()
 
     @cached_property
+    def hand_found(self) -> Hand | str:
+        """The hand: one that dgeval knows, else what the description says of it; or in words why
+        there is none.
+        """
+        if self.description is None:
+            return "no robot description: the hand's geometry is not known"
+        return known_hand(self.description)[0] or self.hand_by_description()
+
+    def hand_by_description(self) -> Hand | str:
+        """The hand as its description alone has it; or in words why there is none."""
+        description, frame, track = self.description, self.palm_frame, self.joints
+        if description is None or frame is None:
+            return "no frame of a palm is found (frames.palm), so the hand is not known"
+        palm = frame
+        if palm not in description.joints and palm not in description.shapes:
+            branches = description.branches()
+            if len(branches) != 1:
+                return f"the palm's frame {palm!r} is not in the description (frames.palm)"
+            palm = branches[0]
+        links = hand_links(description, palm, track.times)
+        if isinstance(links, str):
+            return links
+        joints = links.joints(description)
+        first_ns = max((track.first_ns(joint) for joint in joints), default=0)
+        start = [track.position(joint, first_ns, self.tree.max_gap_ns) for joint in joints]
+        T = self.tree.lookup(links.base, frame, first_ns)
+        if T is None or any(q is None for q in start):
+            return f"where the palm's frame {frame!r} is on {links.base!r} is not recorded"
+        return described_hand(description, links, T, np.array(start, dtype=np.float64))
+
+    @property
     def hand(self) -> Hand | None:
-        """The hand of the description; None without a description, or of an unknown hand."""
-        return None if self.description is None else known_hand(self.description)[0]
+        """The hand; None where there is none."""
+        return None if isinstance(self.hand_found, str) else self.hand_found
 
     def T_base_camera(self, t_ns: int) -> Array | None:
         if self.base_frame is None:
@@ -342,8 +387,8 @@ def _add_joints(
             continue
 
         def edge(t_ns: int, joint: Joint = joint) -> Array | None:
-            q = track.at(joint.follows, t_ns, max_gap_ns)
-            return None if q is None else joint.at(q)
+            q = track.position(joint, t_ns, max_gap_ns)
+            return None if q is None else joint.moved(q)
 
         tree.add_computed(joint.parent, child, edge)
 

@@ -30,7 +30,7 @@ from dgeval.recording.robot import RobotStates
 from dgeval.recording.trials import Trial
 from dgeval.replay.row import row_of
 from dgeval.replay.target_search import FoundTarget
-from dgeval.robots.hand import hand_named
+from dgeval.robots.hand import KnownHand, hand_named
 
 if TYPE_CHECKING:
     from dgeval.planning.model_grasps import ModelGrasps
@@ -171,7 +171,7 @@ def grasp_source(robot: RobotStates, recorded: bool, config: GraspsConfig) -> st
         return config.source
     if recorded:
         return "recorded"
-    known = robot.hand is not None and robot.hand.grasp_network == "ffhnet"
+    known = isinstance(robot.hand, KnownHand) and robot.hand.grasp_network == "ffhnet"
     return "ffhnet" if known and robot.palm_frame is not None else "none"
 
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array, invert
 from dgeval.robots import urdf
-from dgeval.robots.hand import Grip, Hand, Solids
+from dgeval.robots.hand import Grip, KnownHand, Solids
 from dgeval.robots.mjcf import place, pose
 
 # The order of the 15 joint values, three for each finger.
@@ -247,7 +247,7 @@ def random_preshape(rng: np.random.Generator) -> Array:
     return preshape
 
 
-HAND = Hand(
+HAND = KnownHand(
     name="dlr_hit_hand",
     joints=JOINT_NAMES,
     drives=ACTUATED,

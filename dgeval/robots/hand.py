@@ -1,4 +1,4 @@
-"""What dgeval asks of a hand, and which hands there are.
+"""What dgeval asks of a hand, and which hands it knows.
 
 A new hand is one file in this folder, or one behind the entry point group `dgeval.hands`, with a
 module attribute `HAND`. Nothing outside this folder knows a finger's name or how many there are.
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     import mujoco
 
 ENTRY_POINTS = "dgeval.hands"  # the group in which installed packages name their hands
+# s, from the close command until the palm rises, of every known hand; 0.1 s of it for the grip to
+# settle
+LIFT_AFTER_S = 0.5
 BASE = "hand_base"  # the body that a hand's solids hang on
 
 
@@ -55,46 +58,57 @@ class Solids:
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand: its solids, joints, drives, closing motion and frames, and how a grip shows in a log.
+    """A hand as a verdict asks of it: joints, closing motion, grasp centre, solids in physics.
 
     name: unique, as in configurations. joints: all, in the order of joint states; drives: those
     with a drive; the k drives are in rad or m. fingers: first parts (up to "_") of the names of its
-    solids. grasp_network: the network whose weights are for this hand.
+    solids.
 
-    T_hand_palm: the frame of grasps in the base frame. T_hand_camera: the colour camera as
-    calibrated. centre (3,) m: where held objects are, base frame. opening m: between two opposite
-    pads, of a hand that has them.
-
-    open (k,): drives before a grasp is chosen. drive_limits (2, k): lower and upper. drive_speed:
-    per second. random_preshape: drives (k,) before a close, to search grasps with. close_s: s from
-    the command until the hand has closed. targets: drives at a time, s, after the close command,
-    from those before it. positions: all joints from the drives. mismatch_sd, rad or m: standard
-    deviation between where closing fingers come to rest in physics and in a log.
-
-    solids: see `Solids`, from drives (n, k). add: puts the hand into a spec below a body; geoms
-    have contype 2 and conaffinity 1 and are named "<finger>_<…>". links: the hand's links and
-    joints below BASE as URDF text; palm_solids: the solids of BASE. link_points: n points (n, 3) m
-    on the open hand's links, frame of grasps, for a network that takes them.
+    T_hand_palm: the frame of grasps in the base frame. centre (3,) m: where held objects are, base
+    frame. close_s: s from the command until the hand has closed. targets: drives at a time, s,
+    after the close command, from those before it. positions: all joints from the drives.
+    mismatch_sd, rad or m: standard deviation between where closing fingers come to rest in physics
+    and in a log. add: puts the hand into a spec below a body; geoms have contype 2 and conaffinity
+    1 and are named "<finger>_<…>". grip: None where fingers alone don't tell. lift_after_s: s from
+    the close command until the palm rises.
     """
 
     name: str
     joints: tuple[str, ...]
     drives: tuple[str, ...]
     fingers: tuple[str, ...]
-    grasp_network: str
     T_hand_palm: Array
-    T_hand_camera: Array
     centre: Array
-    open: Array
-    drive_limits: Array
-    drive_speed: float
     close_s: float
     positions: Callable[[Array], Array]
     targets: Callable[[float, Array], Array]
-    solids: Callable[[Array], Solids]
-    grip: Grip
+    grip: Grip | None
     mismatch_sd: float
     add: Callable[[mujoco.MjSpec, mujoco.MjsBody], None]
+    lift_after_s: float = LIFT_AFTER_S
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownHand(Hand):
+    """A hand that dgeval also simulates, draws and plans with.
+
+    grasp_network: the network whose weights are for this hand. T_hand_camera: the colour camera as
+    calibrated. opening m: between two opposite pads, of a hand that has them.
+
+    open (k,): drives before a grasp is chosen. drive_limits (2, k): lower and upper. drive_speed:
+    per second. random_preshape: drives (k,) before a close, to search grasps with. solids: see
+    `Solids`, from drives (n, k). links: the hand's links and joints below BASE as URDF text;
+    palm_solids: the solids of BASE. link_points: n points (n, 3) m on the open hand's links, frame
+    of grasps, for a network that takes them.
+    """
+
+    grip: Grip
+    grasp_network: str
+    T_hand_camera: Array
+    open: Array
+    drive_limits: Array
+    drive_speed: float
+    solids: Callable[[Array], Solids]
     links: Callable[[], list[str]]
     palm_solids: str
     random_preshape: Callable[[np.random.Generator], Array]
@@ -103,14 +117,14 @@ class Hand:
 
 
 @cache
-def hands() -> tuple[Hand, ...]:
+def hands() -> tuple[KnownHand, ...]:
     """All hands, by name: the files of this folder, and those of installed packages.
 
     UsageError where two have the same name.
     """
-    found: dict[str, tuple[Hand, str]] = {}
+    found: dict[str, tuple[KnownHand, str]] = {}
     for module in modules_with("dgeval.robots", "HAND", ENTRY_POINTS):
-        hand: Hand = module.HAND
+        hand: KnownHand = module.HAND
         if hand.name in found:
             where = f"{found[hand.name][1]} and {module.__name__}"
             raise UsageError(f"two hands are called {hand.name!r}, in {where}")
@@ -118,7 +132,7 @@ def hands() -> tuple[Hand, ...]:
     return tuple(found[name][0] for name in sorted(found))
 
 
-def hand_named(name: str) -> Hand:
+def hand_named(name: str) -> KnownHand:
     """The hand of that name. KeyError names the hands there are."""
     for hand in hands():
         if hand.name == name:
@@ -126,7 +140,7 @@ def hand_named(name: str) -> Hand:
     raise KeyError(f"no hand {name!r}; there are {', '.join(h.name for h in hands())}")
 
 
-def hand_for(network: str) -> Hand:
+def hand_for(network: str) -> KnownHand:
     """The hand that a grasp network's weights are for: network `ffhnet` or `vfas`.
 
     UsageError where several say so.
@@ -138,7 +152,7 @@ def hand_for(network: str) -> Hand:
     return named[0]
 
 
-def hand_of(joints: Collection[str]) -> Hand | None:
+def hand_of(joints: Collection[str]) -> KnownHand | None:
     """The hand whose drives are among these joints, of several the one with most drives.
 
     None if no hand fits.

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
 from dgeval.robots import urdf
-from dgeval.robots.hand import Grip, Hand, Solids
+from dgeval.robots.hand import Grip, KnownHand, Solids
 from dgeval.robots.mjcf import place
 
 # All dimensions, forces and speeds in this file are dgeval's own.
@@ -176,7 +176,7 @@ def fixed_solids(drives: Array) -> Solids:
     return Solids(np.zeros((len(drives), 0, 2, 3)), 0.0, tuple(boxes))
 
 
-HAND = Hand(
+HAND = KnownHand(
     name="parallel_jaw",
     joints=JOINT_NAMES,
     drives=JOINT_NAMES,

@@ -7,8 +7,9 @@ from functools import cache
 import numpy as np
 
 from dgeval.geometry import Array
-from dgeval.robots.description import Description, Joint, load_description
-from dgeval.robots.hand import Hand, hand_named, hand_of
+from dgeval.robots.description import Description, Joint
+from dgeval.robots.hand import KnownHand, hand_named, hand_of
+from dgeval.robots.loading import load_description
 from dgeval.robots.urdf import robot_urdf
 
 SAME_M = 0.002  # m, by which a joint may lie elsewhere
@@ -17,7 +18,7 @@ NO_RADIUS_M = 0.01  # m, of links without solids, which play no part here
 SAME_SHARE = 0.05  # of the joint's range, by which its limits may differ
 
 
-def known_hand(description: Description) -> tuple[Hand | None, str]:
+def known_hand(description: Description) -> tuple[KnownHand | None, str]:
     """The hand of a description, and a note where its joints have a known hand's names, but not its
     geometry: then it is none that is known.
     """
@@ -32,7 +33,7 @@ def known_hand(description: Description) -> tuple[Hand | None, str]:
     )
 
 
-def _difference(description: Description, hand: Hand) -> str | None:
+def _difference(description: Description, hand: KnownHand) -> str | None:
     """What of the hand's joints is not as in its own description; None where all agree."""
     own = _joints_of_hand(_own(hand.name), hand)
     recorded = _joints_of_hand(description, hand)
@@ -65,7 +66,7 @@ def _own(name: str) -> Description:
     return load_description(robot_urdf(hand.T_hand_camera, hand), name, (), NO_RADIUS_M)
 
 
-def _joints_of_hand(description: Description, hand: Hand) -> dict[str, tuple[Joint, Array]]:
+def _joints_of_hand(description: Description, hand: KnownHand) -> dict[str, tuple[Joint, Array]]:
     """By name, the hand's joints and T_root_joint (4, 4) with all joints at 0.
 
     The root is the link that carries the first drive. Joints elsewhere on the robot are left out.

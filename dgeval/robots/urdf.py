@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
 from dgeval.robots import diana7 as arm
-from dgeval.robots.hand import BASE, Hand
+from dgeval.robots.hand import BASE, KnownHand
 
 Numbers = tuple[float, ...]
 CAMERA_FRAME = "camera_color_optical_frame"  # the colour camera's frame in recordings
 
 
-def robot_urdf(T_hand_camera: Array, hand: Hand) -> str:
+def robot_urdf(T_hand_camera: Array, hand: KnownHand) -> str:
     """URDF text of arm, hand with its solids, `palm_link` (the frame of grasps) and camera.
 
     T_hand_camera (4, 4): the camera as calibrated.

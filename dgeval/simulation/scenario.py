@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from dgeval.config import Config, read_toml, validated
 from dgeval.determinism import generator
 from dgeval.errors import Place, UsageError
-from dgeval.robots.hand import Hand, hand_named
+from dgeval.robots.hand import KnownHand, hand_named
 from dgeval.simulation.faults import Faults, draw
 from dgeval.simulation.setting import Turn
 from dgeval.worlds.objects import ObjectModel
@@ -157,7 +157,7 @@ class Scenario(_Section):
         return self.pipeline.pipeline == "vfas"
 
     @property
-    def gripper(self) -> Hand:
+    def gripper(self) -> KnownHand:
         return hand_named("parallel_jaw" if self.vfas else "dlr_hit_hand")
 
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from dgeval.geometry import Array, increment, invert, transform
 from dgeval.perception.pipeline import Perception
 from dgeval.recording.frame import Frame
-from dgeval.robots.description import Description, LinkShape, load_description
+from dgeval.robots.description import Description, LinkShape
+from dgeval.robots.loading import load_description
 from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.perception import PerceivedObject
 from dgeval.simulation.render import Renderer

@@ -14,7 +14,7 @@ from dgeval.geometry import Array, increment, matrix_from_pose, rotation_angle
 from dgeval.planning.schedule import Delayed
 from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
 from dgeval.planning.vfas.selection import Selected
-from dgeval.robots.description import load_description
+from dgeval.robots.loading import load_description
 from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.jaw_grasps import search
 from dgeval.simulation.render import Renderer

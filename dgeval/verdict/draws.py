@@ -10,6 +10,8 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.failure_rule import HANDED_OVER, Thresholds, Unknown
+from dgeval.robots.described_hand import FORCE_N, DescribedHand
+from dgeval.robots.hand import Hand
 from dgeval.verdict.decide import Decision, Draw, Draws, decide, too_uncertain, undecided
 from dgeval.verdict.evidence import Scene
 from dgeval.verdict.geometric import geometric_draw
@@ -81,7 +83,8 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
         if k == 0:  # the first draw is the best guess
             dx, dy, turn, friction, mass = 0.0, 0.0, 0.0, 1.0, 1.0
         offset = (float(dx), float(dy), float(turn))
-        twin = Twin(scene, solid, offset, float(friction), float(mass))
+        force = _force(scene.gripper, rng, k)
+        twin = Twin(scene, solid, offset, float(friction), float(mass), force)
         probes.append((twin, twin.approach()))
         off = np.array(
             [[t.mismatch / scene.gripper.mismatch_sd, t.strayed / STRAYED_SD] for t, _ in probes]
@@ -95,3 +98,11 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
         if len(asked) >= draws and len({d.verdict.failure_class for d in asked}) == 1:
             break
     return Draws(tuple(asked), sum(reproduced for _, reproduced in probes) / len(probes), "twin")
+
+
+def _force(gripper: Hand, rng: np.random.Generator, k: int) -> float:
+    """Factor on the drives' forces of a draw, log-uniform, of a hand whose force is not known."""
+    if not isinstance(gripper, DescribedHand) or k == 0:
+        return 1.0
+    least, most = np.log(np.array(gripper.force_n) / FORCE_N)
+    return float(np.exp(rng.uniform(least, most)))

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from dgeval.failure_rule import Unknown
 from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.hindsight.second_pass import Hindsight
-from dgeval.robots.hand import Hand, hands
+from dgeval.robots.described_hand import DescribedHand
+from dgeval.robots.hand import Hand
 from dgeval.verdict.beliefs import Beliefs, beliefs_of
 from dgeval.verdict.log import Recorded, TrialLog
-from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
+from dgeval.verdict.recorded_closing import LONGEST_S, moved_as_recorded
+from dgeval.worlds.closing import CONTROL_S
 
 PERIOD_NS = round(CONTROL_S * 1e9)
 APPROACH_S = 12.0  # before the close, as much of the approach as is looked at
@@ -26,9 +28,6 @@ HELD_ABOVE_M = 0.03  # of the lowest point over the support: what is higher does
 COMMAND_AGE_NS, MEASURED_TICKS = 50_000_000, 5
 RISES_M = 0.007  # a trembling hand moves by 10 mm and more; registration wobbles by 1 to 3 mm
 NO_SUPPORT_M = 0.25  # from the lowest point down to where a support is put when none was seen
-CLOSING = round(
-    (CLOSE_S + SETTLE_S) / CONTROL_S
-)  # ticks after the close in which the fingers tell what they meet
 
 
 @dataclass(frozen=True)
@@ -91,21 +90,18 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
     close_ns, end_ns, robot = log.close_ns, log.end_ns, log.robot
     description = robot.description
     base = robot.base_frame
-    if description is None:
-        return Unknown("no robot description: the hand's geometry is not known")
+    gripper = robot.hand_found
+    if description is None or isinstance(gripper, str):
+        return Unknown(str(gripper))
     if base is None:
         return Unknown("no pose of the camera in a base frame: the hand's way is not known")
-    gripper = robot.hand
-    if gripper is None:
-        return Unknown(
-            "the description's joints are those of no hand that dgeval knows "
-            f"({', '.join(h.name for h in hands())})"
-        )
     if hindsight.n_registered < MIN_REGISTERED:
         return Unknown(
             f"the object was registered in only {hindsight.n_registered} frames before the close"
         )
-    root = next(j.parent for j in description.joints.values() if j.name == gripper.drives[0])
+    by_name = {joint.name: joint for joint in description.joints.values()}
+    drives = [by_name[name] for name in gripper.drives]
+    root = drives[0].parent
     start_ns = max(log.first_ns, end_ns - round(APPROACH_S * 1e9))
     count = (end_ns - start_ns) // PERIOD_NS
     times = end_ns - np.arange(count, -1, -1, dtype=np.int64) * PERIOD_NS
@@ -123,7 +119,7 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
     poses, fingers, velocities = [], [], []
     for t_ns in times.tolist():
         T = robot.tree.lookup(base, root, t_ns)
-        q = [robot.joints.at(name, t_ns, log.max_gap_ns) for name in gripper.drives]
+        q = [robot.joints.position(joint, t_ns, log.max_gap_ns) for joint in drives]
         if T is None or any(v is None for v in q):
             if kept:
                 return Unknown(
@@ -149,19 +145,25 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
     moved = (centres - centres[-1]) @ T_support_base[:3, :3].T
     moved[:, 2] *= held
     closing: list[list[float | None]] = []
-    while close_ns is not None and len(closing) < CLOSING:
+    longest_s = LONGEST_S if isinstance(gripper, DescribedHand) else gripper.lift_after_s
+    while close_ns is not None and len(closing) < round(longest_s / CONTROL_S):
         t_ns = end_ns + (len(closing) + 1) * PERIOD_NS
-        row = [robot.joints.at(name, t_ns, log.max_gap_ns) for name in gripper.drives]
+        row = [robot.joints.position(joint, t_ns, log.max_gap_ns) for joint in drives]
         if any(v is None for v in row):
             break
         closing.append(row)
+    way = np.array(closing, dtype=float).reshape(-1, len(drives))
+    if isinstance(gripper, DescribedHand):
+        near = transform(invert(poses[-1]), points)
+        gripper = moved_as_recorded(gripper, np.array(fingers[-1], dtype=float), way, near)
+        way = way[: round(gripper.lift_after_s / CONTROL_S)]
     hand = HandMotion(
         np.array(kept, dtype=np.int64),
         np.array(poses),
         np.array(fingers, dtype=float),
         np.array(velocities),
         _going(log.recorded, gripper, np.array(poses), T_support_base, end_ns),
-        np.array(closing, dtype=float).reshape(-1, len(gripper.drives)),
+        way,
     )
     beliefs = beliefs_of(log, hindsight)
     return Scene(

@@ -14,7 +14,7 @@ from dgeval.geometry import transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.robot import RobotStates
-from dgeval.robots.hand import hands
+from dgeval.robots.hand import Hand, hands
 from dgeval.verdict.log import TrialLog
 
 AFTER_S = 1.0  # s after the close, from which fingers at rest tell what they hold; ours
@@ -115,9 +115,12 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | None:
     first_ns = last_ns - round(LAST_S * 1e9)
     samples = [s for s in log.hand_samples if first_ns <= s.t_ns <= last_ns]
     described = log.robot.description is not None
-    known = ([log.robot.hand] if log.robot.hand is not None else []) if described else hands()
-    for hand in known:
-        grip = hand.grip
+    known: tuple[Hand, ...] = hands()
+    if described:
+        known = () if log.robot.hand is None else (log.robot.hand,)
+    for grip in (hand.grip for hand in known):
+        if grip is None:
+            continue
         values = [s.positions if grip.signal == "position" else s.efforts for s in samples]
         rows = [[v[n] for n in grip.joints] for v in values if all(n in v for n in grip.joints)]
         if len(rows) >= grip.least:

@@ -52,7 +52,8 @@ class Approach:
 class Twin(HandOnHandle):
     """One draw: the scene with a solid of its cloud, displaced by (dx, dy m, turn rad).
 
-    friction, mass: factors on the solid's sliding friction and mass.
+    friction, mass: factors on the solid's sliding friction and mass. force: factor on what the
+    drives of the fingers give.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Twin(HandOnHandle):
         offset: tuple[float, float, float],
         friction: float,
         mass: float,
+        force: float = 1.0,
     ) -> None:
         self.scene = scene
         self.target, centre = replace(solid[0], mass=solid[0].mass * mass), solid[1]
@@ -70,6 +72,9 @@ class Twin(HandOnHandle):
         rest = float(centre[2]) if scene.held else self.target.rest_height()
         super().__init__(model, scene.gripper, rest)
         model.geom_friction[self.object_geoms, 0] *= friction
+        model.actuator_forcerange[self.drives] *= force
+        model.actuator_gainprm[self.drives] *= force
+        model.actuator_biasprm[self.drives] *= force
         self._hand_dof = int(model.joint("hand").dofadr[0])
         # nothing pushes a recorded hand: with a small inertia the solver would let part of each
         # contact go into moving it

@@ -8,13 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from dgeval.geometry import Array
+from dgeval.robots.hand import LIFT_AFTER_S
 from dgeval.worlds.scene import TIMESTEP
 
 CONTROL_S = 0.010  # s, period of the control loop; ours
 SUBSTEPS = round(CONTROL_S / TIMESTEP)  # physics steps in a control period
 # All values below are ours; docs/simulation.md says what they do.
-CLOSE_S = 0.4  # s, that every hand has to close
 SETTLE_S = 0.1  # s, wait after the closing ramp
+CLOSE_S = LIFT_AFTER_S - SETTLE_S  # s, that every known hand has to close
 LIFT_S = 0.7  # s, duration of the lift
 LIFT_HEIGHT = 0.20  # m
 HOLD_S = 1.0  # s after the lift, through which a success must hold the object
@@ -28,14 +29,16 @@ AFTER_CLOSE_S = 0.6  # s after the real close, until which other close times are
 TRUTH_STEP = 3  # control periods between the close times tried, 30 ms
 
 
-def finishing_twist(since_close: float, velocity: Array) -> Array:
+def finishing_twist(
+    since_close: float, velocity: Array, lift_after_s: float = LIFT_AFTER_S
+) -> Array:
     """Palm twist (6,) m/s, rad/s, a time in s after the close command.
 
     The hand follows the object at its velocity (3,) m/s, then lifts straight up; the following dies
     out during the lift.
     """
     twist = np.zeros(6)
-    lift = since_close - CLOSE_S - SETTLE_S
+    lift = since_close - (lift_after_s - SETTLE_S) - SETTLE_S
     share = float(np.clip(lift / LIFT_S, 0.0, 1.0))
     twist[:3] = velocity * (1 - share)
     if 0 < share < 1:

@@ -16,7 +16,6 @@ import numpy as np
 from dgeval.geometry import Array
 from dgeval.robots.hand import Hand
 from dgeval.worlds.closing import (
-    CLOSE_S,
     CONTROL_S,
     GIVEN_UP_SHARE,
     HOLD_S,
@@ -24,7 +23,6 @@ from dgeval.worlds.closing import (
     LIFT_S,
     MAX_FROM_HAND,
     MIN_LIFT,
-    SETTLE_S,
     SHAKE_S,
     finishing_twist,
     swing,
@@ -36,11 +34,6 @@ INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION  # the part of the state that 
 # Version of the rule in `CloseAndLift`. Recordings, shipped grasps and weights that name no version
 # were made with 1; docs/simulation.md, "Success", says what differed.
 SUCCESS_RULE = 2
-# Control periods after the close command: the lift is over, the hold is over, and from when on
-# a hand that has left the object behind is given up.
-LIFTED = round((CLOSE_S + SETTLE_S + LIFT_S) / CONTROL_S)
-HELD = LIFTED + round(HOLD_S / CONTROL_S)
-GIVEN_UP = math.floor((CLOSE_S + SETTLE_S + GIVEN_UP_SHARE * LIFT_S) / CONTROL_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,6 +226,12 @@ class CloseAndLift:
         self._rest = self._object()[2] if world.held_by_presenter else world.rest
         self._gripped_s = 0.0
         self._periods = 0
+        # control periods after the close command: the lift is over, the hold is over, and from when
+        # on a hand that has left the object behind is given up
+        self._lift_s = world.gripper.lift_after_s
+        self._lifted = round((self._lift_s + LIFT_S) / CONTROL_S)
+        self._held = self._lifted + round(HOLD_S / CONTROL_S)
+        self._given_up = math.floor((self._lift_s + GIVEN_UP_SHARE * LIFT_S) / CONTROL_S)
 
     @property
     def since_s(self) -> float:
@@ -242,8 +241,8 @@ class CloseAndLift:
     def step(self) -> None:
         """Run one control period."""
         since, w = self.since_s, self.world
-        twist = finishing_twist(since, self.velocity)
-        held_s = since - CLOSE_S - SETTLE_S - LIFT_S
+        twist = finishing_twist(since, self.velocity, self._lift_s)
+        held_s = since - self._lift_s - LIFT_S
         if self.shake_m and 0 <= held_s < SHAKE_S - 1e-9:
             moved = swing(held_s + CONTROL_S, self.shake_m) - swing(held_s, self.shake_m)
             twist[:2] += moved / CONTROL_S
@@ -266,13 +265,13 @@ class CloseAndLift:
         return self.success
 
     def _decided(self) -> bool | None:
-        if self._periods > GIVEN_UP and self._object()[2] < self._rest + LEFT_BEHIND_M:
+        if self._periods > self._given_up and self._object()[2] < self._rest + LEFT_BEHIND_M:
             return False
-        if self._periods < LIFTED:
+        if self._periods < self._lifted:
             return None
         if not self._in_hand():
             return False
-        return True if self._periods >= HELD else None
+        return True if self._periods >= self._held else None
 
     def _object(self) -> Array:
         w = self.world

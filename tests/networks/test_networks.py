@@ -40,10 +40,10 @@ from dgeval.planning.grasps import (
 )
 from dgeval.planning.hand_overlap import standing_points
 from dgeval.planning.reachability import arm_of
-from dgeval.robots.description import load_description
 from dgeval.robots.diana7 import LOWER, UPPER, ArmKinematics
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.robots.dlr_hit_hand import T_hand_camera
+from dgeval.robots.loading import load_description
 from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.perception import PerceivedObject
 from dgeval.simulation.proposals import FFHNetGrasps

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dgeval.recording.namespaces import differ, of_camera
-from dgeval.robots.description import load_description
+from dgeval.robots.loading import load_description
 from tests.recording.recorders import (
     COLOUR,
     DEPTH,

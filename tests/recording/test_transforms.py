@@ -14,7 +14,7 @@ from dgeval.recording.messages import JointSample, event_of
 from dgeval.recording.robot import JointTrack
 from dgeval.recording.scan import scan
 from dgeval.recording.transforms import Track, TransformTree
-from dgeval.robots.description import load_description
+from dgeval.robots.loading import load_description
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation

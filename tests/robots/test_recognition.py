@@ -8,19 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dgeval.geometry import increment
-from dgeval.robots.description import Description, Joint, load_description
-from dgeval.robots.hand import Hand, hands
+from dgeval.robots.description import Description, Joint
+from dgeval.robots.hand import KnownHand, hands
+from dgeval.robots.loading import load_description
 from dgeval.robots.recognition import known_hand
 from dgeval.robots.urdf import robot_urdf
 
 EACH = pytest.mark.parametrize("hand", hands(), ids=lambda hand: hand.name)
 
 
-def described(hand: Hand) -> Description:
+def described(hand: KnownHand) -> Description:
     return load_description(robot_urdf(hand.T_hand_camera, hand), hand.name, (), 0.01)
 
 
-def changed(hand: Hand, change: Callable[[Joint], Joint]) -> Description:
+def changed(hand: KnownHand, change: Callable[[Joint], Joint]) -> Description:
     """The hand with its last drive's joint changed."""
     own = described(hand)
     joints = {
@@ -31,7 +32,7 @@ def changed(hand: Hand, change: Callable[[Joint], Joint]) -> Description:
 
 
 @EACH
-def test_a_known_hand_is_known_by_its_own_description(hand: Hand) -> None:
+def test_a_known_hand_is_known_by_its_own_description(hand: KnownHand) -> None:
     assert known_hand(described(hand)) == (hand, "")
 
 
@@ -49,7 +50,7 @@ def test_a_known_hand_is_known_by_its_own_description(hand: Hand) -> None:
     ],
 )
 def test_the_same_names_on_another_hand(
-    hand: Hand, change: Callable[[Joint], Joint], told: str
+    hand: KnownHand, change: Callable[[Joint], Joint], told: str
 ) -> None:
     """Fails where a Panda whose fingers are called left_jaw and right_jaw is judged as that jaw."""
     found, note = known_hand(changed(hand, change))
@@ -59,7 +60,7 @@ def test_the_same_names_on_another_hand(
 
 
 @EACH
-def test_what_a_calibration_changes_is_the_same_hand(hand: Hand) -> None:
+def test_what_a_calibration_changes_is_the_same_hand(hand: KnownHand) -> None:
     """Fails where a millimetre, or a degree, makes a known hand unknown."""
     a_little = increment(np.array([0.001, 0, 0, 0, 0, np.radians(1.0)]))
     found, note = known_hand(changed(hand, lambda j: replace(j, origin=j.origin @ a_little)))
@@ -67,7 +68,7 @@ def test_what_a_calibration_changes_is_the_same_hand(hand: Hand) -> None:
 
 
 @EACH
-def test_a_finger_on_another_link(hand: Hand) -> None:
+def test_a_finger_on_another_link(hand: KnownHand) -> None:
     """Fails where a joint of that name anywhere on the robot is the hand's."""
     found, note = known_hand(changed(hand, lambda j: replace(j, parent="link_1")))
     assert found is None

@@ -290,8 +290,8 @@ def test_self_filter_finds_the_hand_that_the_camera_sees(egl: None) -> None:
         true_cameras(scenario, wanted),
         gripper=FIVE_FINGERS,
     )
-    from dgeval.robots.description import load_description
     from dgeval.robots.dlr_hit_hand import T_hand_camera
+    from dgeval.robots.loading import load_description
     from dgeval.robots.urdf import robot_urdf
     from dgeval.simulation.render import Renderer
     from dgeval.simulation.seeing import hand_shapes

@@ -18,9 +18,9 @@ from dgeval.config import load_config
 from dgeval.recording.contract import GRASP_TOPIC
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
-from dgeval.robots.description import load_description
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.robots.hand import hand_of
+from dgeval.robots.loading import load_description
 from dgeval.robots.parallel_jaw import HAND as JAW
 from dgeval.robots.parallel_jaw import OPEN, TRAVEL, finger_targets
 from dgeval.robots.urdf import robot_urdf

@@ -602,14 +602,14 @@ MUTANTS = [
     ),
     Mutant(
         LIFT,
-        "return True if self._periods >= HELD else None",
+        "return True if self._periods >= self._held else None",
         "return True",
         f"{TEST_LIFT}::test_what_is_held_for_a_second_after_the_lift_is_a_success",
     ),
     Mutant(
         LIFT,
         "if not self._in_hand():",
-        "if self._periods >= HELD and not self._in_hand():",
+        "if self._periods >= self._held and not self._in_hand():",
         f"{TEST_LIFT}::test_one_period_without_any_of_the_conditions_is_a_failure",
     ),
     Mutant(
@@ -638,7 +638,7 @@ MUTANTS = [
     ),
     Mutant(
         LIFT,
-        "self._periods > GIVEN_UP and ",
+        "self._periods > self._given_up and ",
         "",
         f"{TEST_LIFT}::test_what_is_left_behind_is_given_up_early",
     ),

@@ -35,7 +35,7 @@ from dgeval.recording.trials import Trial
 from dgeval.robots import dlr_hit_hand as hand
 from dgeval.robots import urdf
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
-from dgeval.robots.hand import Hand
+from dgeval.robots.hand import KnownHand
 from dgeval.robots.parallel_jaw import HAND as JAW
 from scipy.spatial.transform import Rotation
 
@@ -237,8 +237,8 @@ def own_model(n: int = 3000) -> Array:
 
 @cache
 def urdf_of(gripper: str = "fingers") -> str:
-    """The description of dgeval's own arm with the DLR-HIT Hand II or the parallel jaw."""
-    chosen: Hand = FIVE_FINGERS if gripper == "fingers" else JAW
+    """The description of dgeval's own arm with the DLR-HIT KnownHand II or the parallel jaw."""
+    chosen: KnownHand = FIVE_FINGERS if gripper == "fingers" else JAW
     return urdf.robot_urdf(chosen.T_hand_camera, chosen)
 
 

@@ -105,9 +105,11 @@ class Physics:
         offset: tuple[float, float, float],
         friction: float,
         mass: float,
+        force: float,
     ) -> GivenTwin:
         assert isinstance(scene, Scene)
         assert solid == "solid"
+        assert force == 1.0, "the drives of a known hand are its own"
         self.made.append((offset, friction, mass))
         index = len(self.made) - 1
         return GivenTwin(self, index, self.draws[min(index, len(self.draws) - 1)])

@@ -517,9 +517,7 @@ OTHER_HAND = (
     )
 )
 NO_GEOMETRY = "no robot description: the hand's geometry is not known"
-UNKNOWN_HAND = (
-    "the description's joints are those of no hand that dgeval knows (dlr_hit_hand, parallel_jaw)"
-)
+UNKNOWN_HAND = "the description has no hand that moves on 'palm_link'"
 TOO_SHORT = "less than 0.2 s of the approach has a known hand pose"
 
 

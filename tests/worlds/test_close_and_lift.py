@@ -48,7 +48,9 @@ class World:
         self.script = script
         self.held_by_presenter = script.presented_at is not None
         self.let_go_s: float | None = None
-        self.gripper = SimpleNamespace(centre=CENTRE, targets=lambda t, drives: drives + t)
+        self.gripper = SimpleNamespace(
+            centre=CENTRE, targets=lambda t, drives: drives + t, lift_after_s=CLOSED
+        )
         self.data = SimpleNamespace(qpos=np.zeros(3))
         self._place()
 

@@ -16,9 +16,10 @@ import pytest
 from dgeval.geometry import rotation_angle, rotation_vector
 from dgeval.robots import diana7 as arm
 from dgeval.robots import dlr_hit_hand as hand
-from dgeval.robots.description import Description, load_description
+from dgeval.robots.description import Description
 from dgeval.robots.diana7 import LOWER, MAX_SPEED, UPPER, ArmKinematics
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
+from dgeval.robots.loading import load_description
 from dgeval.robots.urdf import robot_urdf
 from dgeval.worlds.objects import (
     ObjectModel,

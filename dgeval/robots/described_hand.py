@@ -1,0 +1,162 @@
+"""A hand from its description alone, as a verdict asks of it.
+
+Of a description geometry, kinds of joints, axes, limits and coupling are facts. Its masses,
+inertias, damping and friction are not: they were set for other programs, and dgeval's own are used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from dgeval.geometry import Array
+from dgeval.robots.description import Description, Joint
+from dgeval.robots.hand import Hand
+from dgeval.robots.hand_geometry import HandGeometry
+from dgeval.robots.hand_links import HandLinks
+from dgeval.robots.hand_solids import add_solids
+from dgeval.robots.link_shapes import capsules_of
+
+if TYPE_CHECKING:
+    import mujoco
+
+FORCE_N = 15.0  # N of a fingertip, as the physics is made; each draw has its own; ours
+LEAST_FORCE_N, MOST_FORCE_N = 3.0, 60.0  # N; grippers on the market; ours
+# of a finger joint: position error, rad and m, at which its drive gives all its force; ours
+ALL_FORCE_RAD, ALL_FORCE_M = 0.3, 0.010
+KV = 0.05  # s, of a drive's velocity gain against its position gain; as the known hands' drives
+MISMATCH_RAD, MISMATCH_M = 0.03, 0.002  # as of the known hands
+CLOSE_S = 0.5  # s, in which a hand closes whose own time is not known; ours
+LINK_KG, LINK_KGM2 = 0.03, 2e-5  # of a finger's link: small, so that its drive moves it; ours
+
+
+@dataclass(frozen=True)
+class DescribedHand(Hand):
+    """A hand that is known from its description.
+
+    without_solids: its solids are capsules, as the description has none. closing_source: where its
+    closing motion is from: the trial itself, or the joints' limits. force_n: least and most force
+    of a fingertip, N.
+    """
+
+    geometry: HandGeometry = field(kw_only=True)
+    without_solids: bool = field(kw_only=True)
+    closing_source: Literal["recorded", "limits"] = field(default="limits", kw_only=True)
+    force_n: tuple[float, float] = field(default=(LEAST_FORCE_N, MOST_FORCE_N), kw_only=True)
+
+
+def described_hand(
+    description: Description, links: HandLinks, T_base_palm: Array, open_positions: Array
+) -> DescribedHand:
+    """The hand of some links of a description; without solids it gets capsules.
+
+    T_base_palm (4, 4): the frame of grasps. open_positions (k,): of the joints, rad or m, before
+    the close, in the order of `HandLinks.joints`.
+    """
+    members = [link for finger in links.fingers for link in finger]
+    without_solids = not any(description.shapes.get(link) for link in members)
+    if without_solids:
+        joints, centres = description.joints, description.mass_centres
+        capsules = {
+            link: capsules_of(link, joints, centres.get(link), description.radius)
+            for link in (links.base, *members)
+        }
+        description = replace(description, shapes={**description.shapes, **capsules})
+    geometry = HandGeometry(description, links, np.asarray(open_positions, dtype=np.float64))
+    slides = sum(joint.kind == "prismatic" for joint in geometry.joints)
+
+    def add(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> None:
+        add_hand(spec, base, geometry)
+
+    return DescribedHand(
+        name=f"described:{links.base}",
+        joints=geometry.names,
+        drives=geometry.names,
+        fingers=tuple(_finger_name(finger) for finger in links.fingers),
+        T_hand_palm=T_base_palm,
+        centre=geometry.meeting(geometry.closed),
+        close_s=CLOSE_S,
+        positions=np.copy,
+        targets=partial(_straight, geometry.closed),
+        grip=None,
+        mismatch_sd=MISMATCH_M if 2 * slides > len(geometry.joints) else MISMATCH_RAD,
+        add=add,
+        geometry=geometry,
+        without_solids=without_solids,
+    )
+
+
+def _straight(closed: Array, since_close: float, preshape: Array) -> Array:
+    """Targets of the drives that lead from where they were to the closed hand (k,) in CLOSE_S."""
+    share = float(np.clip(since_close / CLOSE_S, 0.0, 1.0))
+    return np.asarray(preshape + share * (closed - preshape))
+
+
+def _finger_name(finger: tuple[str, ...]) -> str:
+    """The first part of its solids' names, which ends at the first underscore."""
+    return finger[0].replace("_", "-")
+
+
+def add_hand(spec: mujoco.MjSpec, base: mujoco.MjsBody, geometry: HandGeometry) -> None:
+    """Put palm, fingers, drives and couplings below a body; solids don't meet each other."""
+    from dgeval.robots.mjcf import place
+
+    description, links = geometry.description, geometry.links
+    base.gravcomp = 1
+    T = geometry.poses(np.zeros(len(geometry.names)))
+    for link in links.palm:
+        add_solids(spec, base, description.shapes.get(link, []), T[link], f"palm_{link}")
+    for finger in links.fingers:
+        bodies: dict[str, mujoco.MjsBody] = {}
+        label = _finger_name(finger)
+        for link in finger:
+            joint = description.joints[link]
+            above = bodies.get(joint.parent)
+            body = (base if above is None else above).add_body(name=f"{label}_{link}", gravcomp=1)
+            place(body, joint.origin if above is not None else T[joint.parent] @ joint.origin)
+            bodies[link] = body
+            add_solids(spec, body, description.shapes.get(link, []), np.eye(4), f"{label}_{link}")
+            body.mass, body.inertia, body.explicitinertial = LINK_KG, [LINK_KGM2] * 3, True
+            if joint.kind != "fixed":
+                _add_joint(spec, body, joint, FORCE_N * geometry.lever(joint))
+                if joint.follows != joint.name and joint.follows in geometry.names:
+                    _couple(spec, joint)
+
+
+def _add_joint(spec: mujoco.MjSpec, body: mujoco.MjsBody, joint: Joint, force: float) -> None:
+    """The joint of a body with its drive. force: at most, Nm or N."""
+    import mujoco
+
+    slides = joint.kind == "prismatic"
+    limited = bool(np.isfinite([joint.lower, joint.upper]).all())
+    body.add_joint(
+        name=joint.name,
+        type=mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE,
+        axis=joint.axis,
+        range=[joint.lower, joint.upper] if limited else [0, 0],
+        limited=limited,
+        damping=20.0 if slides else 0.025,  # N s/m, Nm s/rad; as the known hands'
+        armature=0.1 if slides else 1.5e-4,  # kg, kg m^2; as the known hands'
+    )
+    force = min(force, joint.effort)
+    stiffness = force / (ALL_FORCE_M if slides else ALL_FORCE_RAD)
+    drive = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    drive.set_to_position(kp=stiffness, kv=KV * stiffness)
+    drive.forcelimited, drive.forcerange = True, [-force, force]
+
+
+def _couple(spec: mujoco.MjSpec, joint: Joint) -> None:
+    """Couple a joint to the one that it follows."""
+    import mujoco
+
+    couple = spec.add_equality(
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        name1=joint.name,
+        name2=joint.follows,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        solref=[0.004, 1],  # s, damping ratio; as the known hands'
+    )
+    couple.data = [joint.offset, joint.multiplier, *[0] * (len(couple.data) - 2)]

@@ -1,0 +1,177 @@
+"""The fingers of a described hand: where they are, their tips, how they close, where they meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dgeval.geometry import Array, invert, transform
+from dgeval.robots.description import Description, Joint, LinkShape
+from dgeval.robots.hand_links import HandLinks, poses
+from dgeval.robots.hand_solids import surface_points
+
+TIP_M = 0.004  # m; what lies so near to the farthest point of a finger is its tip
+BEHIND_TIPS_M = 0.010  # m, from the fingertips towards the palm, where held things are; ours
+STEPS = 21  # postures from open to closed, at which the fingertips are compared
+# share of the way to a limit, after which the fingertips tell whether it closes; the whole way may
+# lead past each other
+FIRST_SHARE = 0.1
+NEARER_M = 1e-4  # m, by which the fingertips must come nearer; ours
+LEAST_LEVER_M = 0.01
+BAR = 0.75  # share of the longest finger's reach, that a finger has at least; ours
+
+
+@dataclass(frozen=True)
+class HandGeometry:
+    """A hand's links with their solids and joints; positions (k,) are in the order of `joints`.
+
+    All places are in the frame of `links.base`. open (k,) rad, m: the positions before a close.
+    """
+
+    description: Description
+    links: HandLinks
+    open: Array
+
+    @cached_property
+    def joints(self) -> list[Joint]:
+        """Those that move, by finger, each after those above it."""
+        return self.links.joints(self.description)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        return tuple(joint.name for joint in self.joints)
+
+    def poses(self, positions: Array) -> dict[str, Array]:
+        """By link, T_base_link (4, 4)."""
+        named = dict(zip(self.names, positions.tolist(), strict=True))
+        return poses(self.description, self.links, named)
+
+    def shapes(self, positions: Array) -> list[tuple[LinkShape, Array]]:
+        """The solids of palm and fingers with T_base_shape (4, 4)."""
+        listed = self.poses(positions).items()
+        of = self.description.shapes
+        return [(s, T @ s.T_link_shape) for link, T in listed for s in of.get(link, [])]
+
+    @cached_property
+    def palm(self) -> Array:
+        """(3,) m, the middle of the solids that the fingers hang on, or the frame's origin."""
+        points = [surface_points(s) for s in self.description.shapes.get(self.links.base, [])]
+        return np.asarray(np.vstack(points).mean(axis=0)) if points else np.zeros(3)
+
+    @cached_property
+    def tips(self) -> tuple[tuple[str, Array], ...]:
+        """Of each finger the link that reaches farthest from the palm, and the tip in that link's
+        frame (3,) m. A chain that reaches much less far than others is a bar of a linkage.
+        """
+        found = [self._tip(finger) for finger in self.links.fingers]
+        most = max(reach for reach, _, _ in found)
+        return tuple((link, tip) for reach, link, tip in found if reach > BAR * most)
+
+    def _tip(self, finger: tuple[str, ...]) -> tuple[float, str, Array]:
+        at = self.poses(self.open)
+        best: tuple[float, str, Array] = (-1.0, finger[-1], np.zeros(3))
+        for link in finger:
+            points = [surface_points(s) for s in self.description.shapes.get(link, [])]
+            points.append(np.zeros((1, 3)))  # the frame itself, as of a tip or a pad
+            local = np.vstack(points)
+            far = np.linalg.norm(transform(at[link], local) - self.palm, axis=1)
+            if far.max() > best[0]:
+                best = float(far.max()), link, local[far > far.max() - TIP_M].mean(axis=0)
+        return best
+
+    def tips_at(self, positions: Array) -> Array:
+        """(f, 3) m, the fingertips."""
+        T = self.poses(positions)
+        return np.array([transform(T[link], tip[None])[0] for link, tip in self.tips])
+
+    @cached_property
+    def opposite(self) -> Array:
+        """(3,) m, what a hand's only finger closes to: the end of the palm on the finger's side."""
+        T = self.poses(self.open)
+        listed = [
+            transform(T[link], surface_points(shape))
+            for link in self.links.palm
+            for shape in self.description.shapes.get(link, [])
+        ]
+        if not listed:
+            return np.zeros(3)
+        points = np.vstack(listed)
+        root = T[self.links.fingers[0][0]][:3, 3]
+        along = (points - root) @ (self.tips_at(self.open)[0] - root)
+        return np.asarray(points[along >= np.quantile(along, 0.9)].mean(axis=0))
+
+    @cached_property
+    def alone(self) -> int:
+        """The fingertip that all others close to: the farthest from them, as a thumb's."""
+        tips = self.tips_at(self.open)
+        return int(np.argmax([np.linalg.norm(tips - p, axis=1).sum() for p in tips]))
+
+    def apart(self, positions: Array) -> float:
+        """m, how far the fingertips are from the one that they close to; an only one, from the
+        palm's side.
+        """
+        tips = self.tips_at(positions)
+        if len(tips) == 1:
+            return float(np.linalg.norm(tips[0] - self.opposite))
+        others = np.delete(tips, self.alone, axis=0)
+        return float(np.linalg.norm(others - tips[self.alone], axis=1).mean())
+
+    @cached_property
+    def closed(self) -> Array:
+        """(k,) the positions at the limits in the direction that brings the fingertips together.
+
+        Joints that follow others go with them; one without limits, or that brings nothing
+        together, stays where it is.
+        """
+        closed, start = self.open.copy(), self.apart(self.open)
+        for k, joint in enumerate(self.joints):
+            if joint.follows != joint.name and joint.follows in self.names:
+                continue
+            best = start - NEARER_M
+            for limit in (joint.lower, joint.upper):
+                if not np.isfinite(limit):
+                    continue
+                first = self.open[k] + FIRST_SHARE * (limit - self.open[k])
+                apart = self.apart(self._followed(self.open, k, first))
+                if apart < best:
+                    best, closed = apart, self._followed(closed, k, limit)
+        return closed
+
+    def _followed(self, positions: Array, k: int, value: float) -> Array:
+        """The positions with one joint at another place, and those that follow it."""
+        out = positions.copy()
+        out[k] = value
+        for i, joint in enumerate(self.joints):
+            if i != k and joint.follows == self.joints[k].name:
+                out[i] = joint.multiplier * value + joint.offset
+        return out
+
+    def meeting(self, closed: Array) -> Array:
+        """(3,) m, where the fingertips meet on the way to closed positions (k,), a little towards
+        the palm.
+
+        Between the finger that stands alone and all others: a thumb is as good as four fingers.
+        """
+        way = closed - self.open
+        on = [self.open + share * way for share in np.linspace(0.0, 1.0, STEPS)]
+        nearest = min(on, key=self.apart)
+        tips = self.tips_at(nearest)
+        if len(tips) == 1:
+            middle = (tips[0] + self.opposite) / 2
+        else:
+            middle = (tips[self.alone] + np.delete(tips, self.alone, axis=0).mean(axis=0)) / 2
+        away = middle - self.palm
+        length = float(np.linalg.norm(away))
+        return np.asarray(middle - away / max(length, 1e-9) * min(BEHIND_TIPS_M, length))
+
+    def lever(self, joint: Joint) -> float:
+        """m, from a joint's axis to its finger's tip; 1 for one that slides, whose force it is."""
+        if joint.kind == "prismatic":
+            return 1.0
+        finger = next(finger for finger in self.links.fingers if joint.child in finger)
+        _, link, tip = self._tip(finger)
+        T = self.poses(self.open)
+        place = transform(invert(T[joint.child]) @ T[link], tip[None])[0]
+        return max(float(np.linalg.norm(np.cross(joint.axis, place))), LEAST_LEVER_M)

@@ -1,0 +1,112 @@
+"""The closing motion of a described hand, as its own trial recorded it.
+
+A joint that came to rest with nothing beside its finger stops there at any other close too: a width
+that was commanded is no limit. One that something may have stopped goes on at its last free speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.geometry import Array, invert, transform
+from dgeval.perception.self_filter import signed_distance
+from dgeval.robots.described_hand import DescribedHand
+from dgeval.worlds.closing import CONTROL_S, SETTLE_S
+
+LONGEST_S = 3.0  # s, that a hand needs to close at most; ours
+# share of the fastest motion: above it a joint moves, and at half of its usual speed it is slowed
+MOVING, SLOWED = 0.05, 0.5
+REST_TICKS = 10  # control periods without motion, after which a hand has closed
+BESIDE_M = 0.010  # m; a finger so near to the object may have been stopped; ours
+LEAST_MOVED = 0.02  # share of a joint's range, or rad and m, by which it moves if it closes at all
+
+
+def moved_as_recorded(
+    hand: DescribedHand, before: Array, path: Array, points: Array
+) -> DescribedHand:
+    """The hand with the closing motion that was recorded.
+
+    before (k,): its joints at the close command. path (m, k): at the control periods after it, rad
+    or m, as far as recorded. points (n, 3) m: the object at the close, which may stop a finger, in
+    its base frame. The hand as it is, with the limits' motion, where it did not move.
+    """
+    if len(path) < REST_TICKS:
+        return hand
+    steps = np.abs(np.diff(np.vstack([before, path]), axis=0))
+    fastest = steps.max(axis=0)
+    moved = np.abs(path[-1] - before) > LEAST_MOVED * _range(hand)
+    if not moved.any():
+        return hand
+    is_moving = (steps > MOVING * np.maximum(fastest, 1e-9))[:, moved].any(axis=1)
+    last = int(np.flatnonzero(is_moving)[-1]) + 1  # periods from the command to rest
+    rest = path[min(last, len(path)) - 1]
+    stopped = _may_be_stopped(hand, rest, points)
+    way = path[:last].copy()
+    speeds = np.zeros(len(rest))
+    for k in np.flatnonzero(moved & stopped):
+        own = steps[:last, k]
+        usual = float(np.median(own[own > MOVING * fastest[k]]))
+        free = np.flatnonzero(own >= SLOWED * usual)
+        until = int(free[-1]) + 1
+        speed = float(np.sign(rest[k] - before[k])) * usual
+        later = np.arange(1, last - until + 1)
+        way[until:, k] = path[until - 1, k] + speed * later
+        speeds[k] = speed
+    lower = np.array([joint.lower for joint in hand.geometry.joints])
+    upper = np.array([joint.upper for joint in hand.geometry.joints])
+    geometry = replace(hand.geometry, open=before)
+    end = np.clip(way[-1] + speeds * LONGEST_S / CONTROL_S, lower, upper)
+    lasts_s = last * CONTROL_S
+    return replace(
+        hand,
+        geometry=geometry,
+        centre=geometry.meeting(np.where(np.isfinite(end), end, way[-1])),
+        close_s=lasts_s,
+        lift_after_s=lasts_s + SETTLE_S,
+        targets=partial(_along, before, np.clip(way, lower, upper), speeds, lower, upper),
+        closing_source="recorded",
+    )
+
+
+def _range(hand: DescribedHand) -> Array:
+    """(k,) rad or m, of the joints; 1 where there are no limits."""
+    span = np.array([joint.upper - joint.lower for joint in hand.geometry.joints])
+    return np.where(np.isfinite(span), span, 1.0)
+
+
+def _may_be_stopped(hand: DescribedHand, rest: Array, points: Array) -> NDArray[np.bool_]:
+    """(k,) by joint, whether something is beside its finger where it came to rest."""
+    beside = dict.fromkeys(hand.geometry.links.fingers, False)
+    if not len(points):
+        return np.zeros(len(rest), dtype=bool)
+    for shape, T in hand.geometry.shapes(rest):
+        finger = next((f for f in beside if shape.link in f), None)
+        if finger is not None and not beside[finger]:
+            near = signed_distance(shape, transform(invert(T), points)).min()
+            beside[finger] = bool(near < BESIDE_M)
+    of = [next(f for f in beside if joint.child in f) for joint in hand.geometry.joints]
+    return np.array([beside[finger] for finger in of])
+
+
+def _along(
+    before: Array,
+    way: Array,
+    speeds: Array,
+    lower: Array,
+    upper: Array,
+    since_close: float,
+    preshape: Array,
+) -> Array:
+    """Targets (k,) of the drives a time, s, after the close command, from where they were."""
+    tick = since_close / CONTROL_S
+    k = int(tick)
+    if k >= len(way):
+        at = way[-1] + speeds * (tick - len(way))
+    else:
+        first = before if k == 0 else way[k - 1]
+        at = first + (tick - k) * (way[k] - first)
+    return np.asarray(np.clip(preshape + at - before, lower, upper))

@@ -1,0 +1,120 @@
+"""Catches: fingertips, grasp centre or closing direction of a described hand that are not those of
+its geometry; a described hand that can't hold what it should, or holds what it can't.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dgeval.geometry import Array
+from dgeval.robots.described_hand import DescribedHand, described_hand
+from dgeval.robots.hand import KnownHand, hands
+from dgeval.robots.hand_links import HandLinks, hand_links
+from dgeval.robots.loading import load_description
+from dgeval.robots.urdf import robot_urdf
+from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle
+from dgeval.worlds.objects import ten_objects
+from dgeval.worlds.scene import build
+from tests.robots.urdf_texts import ARM, GRIPPER, PADS, box, joint, robot
+
+
+def made(text: str, palm: str, at: dict[str, float]) -> DescribedHand:
+    description = load_description(text, "a test", (), 0.01)
+    recorded = {j.name for j in description.joints.values() if j.follows == j.name}
+    links = hand_links(description, palm, recorded)
+    assert isinstance(links, HandLinks), links
+    start = np.array([at.get(j.name, 0.0) for j in links.joints(description)])
+    return described_hand(description, links, np.eye(4), start)
+
+
+def gripper(opened: float = 0.04) -> DescribedHand:
+    return made(robot(GRIPPER, PADS), "hand", {"jaw": opened, "other_jaw": opened})
+
+
+def test_jaws_close_to_the_middle_and_meet_behind_their_ends() -> None:
+    hand = gripper()
+    assert hand.geometry.closed == pytest.approx([0.0, 0.0])
+    assert hand.geometry.tips_at(hand.geometry.open)[:, 2] == pytest.approx([0.11, 0.11])
+    assert hand.centre == pytest.approx([0.0, 0.0, 0.10], abs=1e-6)
+
+
+def test_an_axis_that_points_the_other_way_closes_the_other_way() -> None:
+    turned = [
+        *GRIPPER[:5],
+        joint("jaw", "hand", "left", "prismatic", "0 0 0.06", "0 -1 0", (-0.04, 0.0)),
+        joint("other_jaw", "hand", "right", "prismatic", "0 0 0.06", "0 1 0", (-0.04, 0.0)),
+    ]
+    hand = made(robot(turned, PADS), "hand", {"jaw": -0.04, "other_jaw": -0.04})
+    assert hand.geometry.closed == pytest.approx([0.0, 0.0])
+
+
+def test_one_jaw_closes_to_what_is_fixed() -> None:
+    """A jaw that turns about y, beside a fixed one of the same length along z."""
+    solids = {
+        "flange": box("0.02 0.02 0.1", "-0.03 0 0.05"),
+        "jaw": box("0.02 0.02 0.1", "0.01 0 0.05"),
+    }
+    text = robot([*ARM, joint("j", "flange", "jaw", axis="0 1 0", limits=(-0.3, 1.5))], solids)
+    hand = made(text, "flange", {"j": 0.8})
+    assert hand.geometry.closed == pytest.approx([-0.3])
+    assert -0.03 < hand.centre[0] < 0.02
+    assert 0.07 < hand.centre[2] < 0.1
+
+
+@pytest.mark.parametrize("hand", hands(), ids=lambda hand: hand.name)
+def test_a_known_hands_grasp_centre_follows_from_its_description(hand: KnownHand) -> None:
+    at = dict(zip(hand.joints, hand.positions(hand.open), strict=True))
+    found = made(robot_urdf(hand.T_hand_camera, hand), "hand_base", at)
+    assert set(found.joints) == set(hand.joints)
+    assert found.centre == pytest.approx(hand.centre, abs=0.01)
+
+
+def test_links_without_any_solid_become_capsules() -> None:
+    hand = made(robot(GRIPPER), "hand", {"jaw": 0.04, "other_jaw": 0.04})
+    assert hand.without_solids
+    kinds = {shape.kind for shape, _ in hand.geometry.shapes(hand.geometry.open)}
+    assert kinds <= {"capsule", "sphere"}
+
+
+class Flying(HandOnHandle):
+    """A hand that follows its handle as the twin's does, without a recording."""
+
+
+def lifted(hand: DescribedHand, force: float, mass: float) -> bool:
+    """Whether the hand lifts a box of 50 mm that stands between its jaws, from above."""
+    target = ten_objects()["foam_brick"]
+    model = build(target, 0.0, "hand", gripper=hand)
+    world = Flying(model, hand, target.rest_height())
+    model.actuator_forcerange[world.drives] *= force
+    model.actuator_gainprm[world.drives] *= force
+    model.actuator_biasprm[world.drives] *= force
+    body = model.body("object").id
+    model.body_mass[body] *= mass
+    model.body_inertia[body] *= mass
+    # z of the hand down, its centre in the object's middle
+    place = np.array([0.5, 0.0, target.rest_height() + hand.centre[2]])
+    world.place_object(np.array([0.5, 0.0, target.rest_height(), 1, 0, 0, 0]), np.zeros(6))
+    world.fly_to(np.array([*place, 0, 1, 0, 0]))
+    world.place_fingers(hand.geometry.open)
+    return CloseAndLift(world, hand.geometry.open, np.zeros(3)).finish()
+
+
+def test_a_described_gripper_holds_what_it_can_and_no_more() -> None:
+    """Fails where drives are too weak or too soft, or solids don't touch; and where anything is
+    held.
+    """
+    hand = gripper()
+    assert lifted(hand, 1.0, 1.0)
+    assert not lifted(hand, 0.1, 30.0)
+
+
+def test_coupled_jaws_move_alike() -> None:
+    """The coupling asked for is the one in physics: MuJoCo drops what it can't resolve."""
+    hand = gripper()
+    model = build(ten_objects()["foam_brick"], 0.0, "hand", gripper=hand)
+    names = {model.joint(i).name for i in range(model.njnt)}
+    assert set(hand.joints) <= names
+    couples = [k for k in range(model.neq) if model.eq_type[k] == 2]
+    assert len(couples) == 1
+    data: Array = model.eq_data[couples[0]]
+    assert data[:2] == pytest.approx([0.0, 1.0])
