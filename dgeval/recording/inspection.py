@@ -154,6 +154,7 @@ def _roles(scanned: Scan, roles: Roles, robot: RobotStates | None) -> dict[str, 
     out["description"] = (
         "recorded or configured" if robot is not None and robot.description else None
     )
+    out["hand"] = None if robot is None or robot.hand is None else robot.hand.told
     out["events"] = "recorded" if scanned.events else None
     out["belief"] = sorted(t for t in scanned.opened.topics if t.startswith(BELIEF_PREFIX)) or None
     out["truth"] = sorted(t for t in scanned.opened.topics if t.startswith(TRUTH_PREFIX)) or None
@@ -222,7 +223,11 @@ def _answers(
     if failed & {"poses", "camera_poses"}:
         pose = ["camera poses that can be used"]
     hand = [] if robot is not None and robot.palm_frame else ["hand_pose"]
-    geometry = [] if robot is not None and robot.hand_links else ["hand_joints with a description"]
+    geometry: list[str] = []
+    if robot is None or robot.description is None:
+        geometry = ["hand_joints with a description"]
+    elif isinstance(robot.hand_found, str):
+        geometry = [f"a hand ({robot.hand_found})"]
     # inferred closes count, and a hand that is known not to have closed
     known = isinstance(trial, Trial) and trial.close.missing is None
     closed = [] if known else ["a close event"]

@@ -47,6 +47,18 @@ class DescribedHand(Hand):
     closing_source: Literal["recorded", "limits"] = field(default="limits", kw_only=True)
     force_n: tuple[float, float] = field(default=(LEAST_FORCE_N, MOST_FORCE_N), kw_only=True)
 
+    @property
+    def told(self) -> str:
+        """What it is, for a person."""
+        count = len(self.geometry.links.fingers)
+        fingers = "one finger" if count == 1 else f"{count} fingers"
+        solids = ", as capsules" if self.without_solids else ""
+        return f"{fingers} on {self.geometry.links.base!r}{solids}, by the description alone"
+
+    def link_of(self, solid: str) -> str:
+        """The link of one of its solids, by the solid's name, as `add_hand` gives it."""
+        return solid.split("_", 1)[1].rsplit("_", 1)[0]
+
 
 def described_hand(
     description: Description, links: HandLinks, T_base_palm: Array, open_positions: Array

@@ -87,6 +87,15 @@ class Hand:
     add: Callable[[mujoco.MjSpec, mujoco.MjsBody], None]
     lift_after_s: float = LIFT_AFTER_S
 
+    @property
+    def told(self) -> str:
+        """What it is, for a person."""
+        return self.name
+
+    def link_of(self, solid: str) -> str:
+        """The link of one of its solids, by the solid's name."""
+        return solid
+
 
 @dataclass(frozen=True, kw_only=True)
 class KnownHand(Hand):

@@ -63,6 +63,7 @@ from dgeval.simulation.world import World, matrix_of
 from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
 from dgeval.worlds.hand_and_object import SUCCESS_RULE
 from dgeval.worlds.objects import surface_points
+from dgeval.worlds.scene import ENGINE
 
 START_NS = 1_800_000_000_000_000_000  # ns, time stamp of every recording's first message; ours
 BASE = "base_link"  # the base frame
@@ -203,6 +204,7 @@ def verdict_document(
     return {
         "outcome": truth.outcome,
         "success_rule": SUCCESS_RULE,
+        "engine": ENGINE,
         "failure_class": truth.failure_class,
         "sub_cause": truth.sub_cause,
         "shift_s": truth.shift_s,

@@ -11,6 +11,7 @@ from typing import Any
 from dgeval.config import VerdictConfig
 from dgeval.failure_rule import Outcome, OutcomeSource, Unknown
 from dgeval.hindsight.second_pass import Hindsight
+from dgeval.robots.described_hand import DescribedHand
 from dgeval.verdict.decide import Blame, Decision, blame_of, undecided
 from dgeval.verdict.draws import decide_scene
 from dgeval.verdict.evidence import Scene, scene_of
@@ -137,6 +138,14 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
             notes.append(
                 f"commanded to the grasp with {level:.2f}/s level and {upright:.2f}/s upright"
             )
+    hand = scene.gripper
+    if isinstance(hand, DescribedHand):
+        least, most = hand.force_n
+        closing = "as it closed here" if hand.closing_source == "recorded" else "to its limits"
+        notes.append(
+            f"verdict: the hand is {hand.told}; it closes {closing}, with {least:.0f} to "
+            f"{most:.0f} N at a fingertip"
+        )
     if scene.held:
         notes.append(
             "verdict: someone holds the object; it is assumed to be let go once two fingers press "

@@ -14,7 +14,9 @@ from dgeval.geometry import transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.robot import RobotStates
+from dgeval.robots.described_hand import DescribedHand
 from dgeval.robots.hand import Hand, hands
+from dgeval.verdict.described_grip import described_grip
 from dgeval.verdict.log import TrialLog
 
 AFTER_S = 1.0  # s after the close, from which fingers at rest tell what they hold; ours
@@ -115,6 +117,8 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | None:
     first_ns = last_ns - round(LAST_S * 1e9)
     samples = [s for s in log.hand_samples if first_ns <= s.t_ns <= last_ns]
     described = log.robot.description is not None
+    if isinstance(log.robot.hand, DescribedHand) and log.close_ns is not None:
+        return described_grip(log.robot.hand, list(log.hand_samples), log.close_ns, samples)
     known: tuple[Hand, ...] = hands()
     if described:
         known = () if log.robot.hand is None else (log.robot.hand,)

@@ -395,8 +395,8 @@ class Twin(HandOnHandle):
             )
             if contact is None and (off[k - first, 0] > 0.001 or off[k - first, 1] > 1.0):
                 touch = self.touch()
-                if touch.object:
-                    contact, link = k, touch.solid
+                if touch.object and touch.solid is not None:
+                    contact, link = k, self.gripper.link_of(touch.solid)
             if (end - k) % 3 == 0:
                 states[k] = self.state()
             if k < end:

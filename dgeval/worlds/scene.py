@@ -30,6 +30,8 @@ BELT_GROUP = 1  # MuJoCo's geom group of the belt, so that it can be drawn apart
 # s. At 4 ms and more, grasps that hold at 1 ms begin to slip (docs/simulation.md, "Time step and
 # friction cone"); measured by `python -m benchmarks.contact_settings`.
 TIMESTEP = 0.002
+# what makes the contacts, as every truth names it
+ENGINE = f"MuJoCo {mujoco.__version__}, nativeccd off"
 # MuJoCo's camera looks along -z with y up; the optical frame looks along +z with y down.
 OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -69,6 +71,9 @@ def build(
         mujoco.mjtCone.mjCONE_ELLIPTIC,
     )
     o.impratio = 10  # measured by contact_settings too, as the cone and the time step
+    # With it a cylinder at an edge of a box gets the normal of the box's other face
+    # (docs/simulation.md, "Contact normals").
+    o.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
     spec.stat.extent, spec.stat.center = 1.0, [0.5, 0, 0]
     spec.visual.map.znear, spec.visual.map.zfar = 0.01, 6.0
     spec.visual.quality.offsamples = 0

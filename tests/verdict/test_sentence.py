@@ -117,7 +117,9 @@ def stages(monkeypatch: pytest.MonkeyPatch) -> Replace:
     def replaced(**given: Any) -> Stages:
         out = Stages(
             **{
-                "scene": SimpleNamespace(beliefs=Unknown("beliefs not recorded"), held=False),
+                "scene": SimpleNamespace(
+                    beliefs=Unknown("beliefs not recorded"), held=False, gripper=None
+                ),
                 "blame": BLAMED,
                 **given,
             }
@@ -453,7 +455,11 @@ def notes(
     instrument.
     """
     draws = [draw("imprecise_pose", "missed") for _ in range(7)]
-    stages(decision=decided(*draws), blame=blame, scene=SimpleNamespace(beliefs=beliefs, held=held))
+    stages(
+        decision=decided(*draws),
+        blame=blame,
+        scene=SimpleNamespace(beliefs=beliefs, held=held, gripper=None),
+    )
     first, *some, last = judge(trial(), hindsight(), CONFIG, 0).notes
     assert first == "a note of hindsight"
     assert last == "verdict: twin, 7 draws, 75% reproduce the failure"

@@ -1,0 +1,111 @@
+"""Whether a described hand holds something, by what its own trial shows of its fingers.
+
+Nobody says what a grip looks like in the states of a hand that dgeval does not know. Two signs need
+no other trial: fingers that closed as far as they go have nothing between them, and a finger that
+holds something presses harder than it did on its way.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgeval.geometry import Array
+from dgeval.recording.messages import JointSample
+from dgeval.robots.described_hand import DescribedHand
+
+BEFORE_S, CLOSING_S = 0.5, 3.0  # s before the close, and after it, that tell how a finger moves
+MOVED = 0.05  # share of a joint's range (rad and m without one), by which it closes; ours
+AT_LIMIT = 0.03  # share of a joint's range, within which it has closed as far as it goes; ours
+MOVING = 0.3  # share of its fastest motion, above which a joint is on its way
+# a finger presses with more than so many times the effort of free motion, so many standard
+# deviations of its effort before the close, and such a share of the largest effort; ours
+HARDER, NOISES, LEAST_SHARE = 3.0, 6.0, 0.1
+FREE = 0.25  # quantile of the efforts on the way, which is that of free motion; ours
+LEAST_SAMPLES = 5
+
+
+def described_grip(
+    hand: DescribedHand, samples: list[JointSample], close_ns: int, end: list[JointSample]
+) -> tuple[bool, str] | None:
+    """Whether the hand holds something at the end, and why; None where its fingers don't tell.
+
+    samples: the trial's joint states in time order; end: those of its end.
+    """
+    before = _of([s for s in samples if close_ns - BEFORE_S * 1e9 <= s.t_ns <= close_ns], hand)
+    way = _of([s for s in samples if close_ns < s.t_ns <= close_ns + CLOSING_S * 1e9], hand)
+    last = _of(end, hand)
+    if min(len(x[0]) for x in (before, way, last)) < LEAST_SAMPLES:
+        return None
+    start, rest = (np.nanmedian(x[0], axis=0) for x in (before, last))
+    reached = _farthest(way[0], start)
+    joints = hand.geometry.joints
+    lower = np.array([joint.lower for joint in joints])
+    upper = np.array([joint.upper for joint in joints])
+    span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+    closed = np.abs(reached - start) > MOVED * span
+    if not closed.any():
+        return None
+    limit = np.where(reached > start, upper, lower)
+    at_limit = np.abs(rest - limit) < AT_LIMIT * span
+    if at_limit[closed].all():
+        return False, "the fingers have closed as far as they go, with nothing between them"
+    pressing = _pressing(before, way, last)
+    if pressing is None:
+        return None
+    presses = closed & ~at_limit & pressing
+    fingers = [
+        finger
+        for finger in hand.geometry.links.fingers
+        if any(presses[k] and joint.child in finger for k, joint in enumerate(joints))
+    ]
+    # jaws that one drive moves show its effort at one of them
+    drives = {joint.follows for k, joint in enumerate(joints) if closed[k]}
+    if len(fingers) >= min(2, len(drives)):
+        return True, f"{len(fingers)} fingers press harder at the end than they did on their way"
+    if not presses.any():
+        return False, "no finger presses at the end"
+    return None
+
+
+def _of(samples: list[JointSample], hand: DescribedHand) -> tuple[Array, Array]:
+    """Positions and efforts (n, k) of the hand's joints in the samples that hold a position; NaN
+    where one is missing.
+    """
+    rows, efforts = [], []
+    for sample in samples:
+        row = [sample.positions.get(name, np.nan) for name in hand.joints]
+        if not np.isnan(row).all():
+            rows.append(row)
+            efforts.append([sample.efforts.get(name, np.nan) for name in hand.joints])
+    shape = (-1, len(hand.joints))
+    return np.array(rows).reshape(shape), np.array(efforts).reshape(shape)
+
+
+def _farthest(positions: Array, start: Array) -> Array:
+    """(k,) of positions (n, k) the one farthest from where the joint was."""
+    off = np.abs(positions - start)
+    k = np.nanargmax(np.where(np.isnan(off), -1.0, off), axis=0)
+    return np.asarray(positions[k, np.arange(positions.shape[1])])
+
+
+def _pressing(
+    before: tuple[Array, Array], way: tuple[Array, Array], last: tuple[Array, Array]
+) -> np.ndarray | None:
+    """(k,) whether each joint's drive gives more at the end than it gave on its way; None where
+    efforts are not recorded.
+    """
+    efforts = [x[1] for x in (before, way, last)]
+    if any(np.isnan(x).all() for x in efforts) or not any(np.nan_to_num(x).any() for x in efforts):
+        return None
+    rest = np.nanmedian(efforts[0], axis=0)
+    noise = np.nanstd(efforts[0], axis=0)
+    speed = np.abs(np.diff(way[0], axis=0, prepend=way[0][:1]))
+    moving = speed > MOVING * np.nanmax(speed, axis=0)
+    given = np.abs(efforts[1] - rest)
+    if not moving.any():
+        return None
+    # at least a quarter of all motion meets nothing yet
+    free = float(np.nanquantile(given[moving], FREE))
+    now = np.abs(np.nanmedian(efforts[2], axis=0) - rest)
+    most = max(float(np.nanmax(given)), float(np.nanmax(now)))
+    return np.asarray(now > np.maximum(NOISES * noise, max(HARDER * free, LEAST_SHARE * most)))

@@ -1,0 +1,98 @@
+"""Catches: an outcome of a described hand that its fingers don't show, or show otherwise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dgeval.geometry import Array
+from dgeval.recording.messages import JointSample
+from dgeval.robots.described_hand import DescribedHand, described_hand
+from dgeval.robots.hand_links import HandLinks, hand_links
+from dgeval.robots.loading import load_description
+from dgeval.verdict.described_grip import described_grip
+from dgeval.verdict.recorded_closing import moved_as_recorded
+from tests.robots.urdf_texts import GRIPPER, PADS, robot
+
+OPEN, CLOSE_S, END_S = 0.04, 1.0, 4.0
+SPEED = 0.1  # m/s of each jaw
+PERIOD_S = 0.01
+
+
+def gripper() -> DescribedHand:
+    description = load_description(robot(GRIPPER, PADS), "a test", (), 0.01)
+    links = hand_links(description, "hand", {"jaw"})
+    assert isinstance(links, HandLinks)
+    return described_hand(description, links, np.eye(4), np.full(2, OPEN))
+
+
+def states(rest: float, effort: float | None) -> list[JointSample]:
+    """Jaws that close at 1 s until `rest`, m, and then give an effort, N; 2 N on their way."""
+    out = []
+    for t in np.arange(0.0, END_S, PERIOD_S):
+        q = float(np.clip(OPEN - SPEED * (t - CLOSE_S), rest, OPEN))
+        given = 0.0 if t <= CLOSE_S else 2.0 if q > rest else effort or 0.0
+        efforts = {} if effort is None else {"jaw": given, "other_jaw": given}
+        out.append(JointSample(round(t * 1e9), {"jaw": q, "other_jaw": q}, efforts))
+    return out
+
+
+@pytest.mark.parametrize(
+    ("rest", "effort", "holds"),
+    [
+        (0.0, None, False),  # as far as they go
+        (0.0, 20.0, False),  # pressed against each other
+        (0.015, 20.0, True),
+        (0.015, 2.0, False),  # a commanded width
+        (0.015, None, None),  # a width alone says nothing: it may be a command
+        (OPEN, None, None),  # it never closed
+    ],
+)
+def test_what_fingers_show(rest: float, effort: float | None, holds: bool | None) -> None:
+    samples = states(rest, effort)
+    end = [s for s in samples if s.t_ns > (END_S - 0.5) * 1e9]
+    found = described_grip(gripper(), samples, round(CLOSE_S * 1e9), end)
+    assert (None if found is None else found[0]) is holds
+
+
+def path(rest: float) -> Array:
+    """(m, 2) m, both jaws from the close on."""
+    t = np.arange(1, 300) * PERIOD_S
+    return np.repeat(np.maximum(OPEN - SPEED * t, rest)[:, None], 2, axis=1)
+
+
+NOTHING = np.zeros((0, 3))
+BETWEEN = np.array([[0.0, y, 0.1] for y in (-0.015, 0.0, 0.015)])  # what the jaws rest on, m
+
+
+def test_a_width_that_was_commanded_is_a_limit_of_the_trial() -> None:
+    """With nothing beside the jaws they stop there at any other close too."""
+    hand = moved_as_recorded(gripper(), np.full(2, OPEN), path(0.015), NOTHING)
+    assert hand.closing_source == "recorded"
+    assert hand.targets(10.0, np.full(2, OPEN)) == pytest.approx([0.015, 0.015])
+    assert hand.targets(0.1, np.full(2, OPEN)) == pytest.approx([0.03, 0.03])
+
+
+def test_jaws_that_something_may_have_stopped_go_on() -> None:
+    """Fails where a missed close is tried with jaws that stop at the size of another object."""
+    hand = moved_as_recorded(gripper(), np.full(2, OPEN), path(0.015), BETWEEN)
+    assert hand.targets(0.1, np.full(2, OPEN)) == pytest.approx([0.03, 0.03])
+    assert hand.targets(0.3, np.full(2, OPEN)) == pytest.approx([0.01, 0.01], abs=1e-3)
+    assert hand.targets(10.0, np.full(2, OPEN)) == pytest.approx([0.0, 0.0])
+    assert hand.centre[2] == pytest.approx(0.10, abs=1e-6)
+
+
+def test_a_slow_hand_has_the_time_it_took() -> None:
+    """Fails where every hand must have closed in half a second."""
+    hand = moved_as_recorded(gripper(), np.full(2, OPEN), path(0.0), NOTHING)
+    assert hand.close_s == pytest.approx(OPEN / SPEED, abs=0.02)
+    slow = np.repeat(np.maximum(OPEN - 0.02 * np.arange(1, 300) * PERIOD_S, 0.0)[:, None], 2, 1)
+    hand = moved_as_recorded(gripper(), np.full(2, OPEN), slow, NOTHING)
+    assert hand.close_s == pytest.approx(2.0, abs=0.02)
+    assert hand.lift_after_s == pytest.approx(2.1, abs=0.02)
+
+
+def test_a_hand_that_did_not_move_closes_to_its_limits() -> None:
+    still = np.full((200, 2), OPEN)
+    hand = moved_as_recorded(gripper(), np.full(2, OPEN), still, NOTHING)
+    assert hand.closing_source == "limits"
+    assert hand.targets(1.0, np.full(2, OPEN)) == pytest.approx([0.0, 0.0])

@@ -1,0 +1,68 @@
+"""Catches: a hand that has another verdict, or none, because nobody told dgeval its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from dgeval import api
+from dgeval.perception.pipeline import Perception
+from dgeval.robots.described_hand import DescribedHand
+from dgeval.verdict.judge import Judgement
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+JOINT_STATE, STRING = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
+SMOKE = Path(__file__).parents[2] / "datasets" / "ci-smoke"
+OTHER_NAMES = {"thumb": "f5", "index": "f1", "middle": "f2", "ring": "f3", "little": "f4"}
+
+
+def renamed(text: str) -> str:
+    for name, other in OTHER_NAMES.items():
+        text = text.replace(name, other)
+    return text
+
+
+def under_other_names(source: Path, target: Path) -> Path:
+    """The recording with other names of fingers, in joint states and description."""
+    with source.open("rb") as read, target.open("wb") as written:
+        writer = Writer(written)
+        writer.start(profile="ros2", library="test")
+        channels: dict[str, int] = {}
+        for schema, channel, message in make_reader(read).iter_messages():
+            assert schema is not None
+            if channel.topic not in channels:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", kind)
+            data = message.data
+            if schema.name == JOINT_STATE:
+                states = STORE.deserialize_cdr(data, JOINT_STATE)
+                states.name = [renamed(name) for name in states.name]
+                data = bytes(STORE.serialize_cdr(states, JOINT_STATE))
+            elif channel.topic == "/robot_description":
+                text = STORE.deserialize_cdr(data, STRING)
+                text.data = renamed(text.data)
+                data = bytes(STORE.serialize_cdr(text, STRING))
+            writer.add_message(channels[channel.topic], message.log_time, data, message.log_time)
+        writer.finish()
+    return target
+
+
+def judged(path: Path) -> Judgement:
+    trial = api.open_trial(path)
+    assert isinstance(trial.robot.hand, DescribedHand)
+    perception = Perception(trial.config)
+    hindsight = api.look_back(trial, api.replay_trial(trial, perception), perception)
+    return api.judge_trial(trial, hindsight)
+
+
+@pytest.mark.slow
+def test_a_hand_under_other_names_has_the_same_verdict(tmp_path: Path) -> None:
+    """By name: a collision of the middle finger's last link with 0.91; nobody labelled it."""
+    found = judged(under_other_names(SMOKE / "pudding_box-120-0030.mcap", tmp_path / "a.mcap"))
+    assert (found.row.outcome, found.row.failure_class) == ("failure", "collision")
+    assert (found.row.p_collision or 0.0) > 0.8
+    assert found.link == "f2_3"
+    assert any("5 fingers on 'hand_base', by the description alone" in n for n in found.notes)
