@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dgeval.cli.boundary import command, print_json
+
+if TYPE_CHECKING:
+    from dgeval.config import Config
 
 EXAMPLES = """\b
 Examples:
   dgeval inspect apple.mcap
   dgeval inspect apple.mcap --json | jq .damage
   dgeval inspect apple.mcap --config > robot.toml
+  dgeval inspect apple.mcap --hand-picture hand.png
 """
 
 
@@ -30,6 +34,10 @@ def inspect(
     config_: Annotated[
         bool, typer.Option("--config", help="Print a configuration with what was found, to edit.")
     ] = False,
+    hand_picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw the hand as its description has it, open and closed (PNG)."),
+    ] = None,
 ) -> None:
     """Topics, roles found and missing, rates, gaps, colour–depth skew, clocks, damage; what can and
     can't be answered."""
@@ -46,6 +54,9 @@ def inspect(
 
         typer.echo(found_config(path, config), nl=False)
         return
+    if hand_picture is not None:
+        _draw_hand(path, config, hand_picture)
+        return
     inspection = inspect_recording(path, config, foretold_target)
     failed = [c for c in inspection["checks"] if c["name"] not in config.checks.accept]
     refused = inspection["replay"].startswith("refused")
@@ -57,6 +68,20 @@ def inspect(
     else:
         _print(inspection)
     raise typer.Exit(code)
+
+
+def _draw_hand(path: Path, config: Config, out: Path) -> None:
+    """Draw the hand of a recording. UsageError where its description has none."""
+    from dgeval.errors import Place, UsageError
+    from dgeval.recording.trials import find_trials, open_trial
+    from dgeval.report.hand_picture import write_hand_picture
+    from dgeval.robots.described_hand import DescribedHand
+
+    hand = open_trial(find_trials([path])[0], config).robot.hand_by_description()
+    if not isinstance(hand, DescribedHand):
+        raise UsageError(f"no hand to draw: {hand}", Place(str(path)), "docs/hands.md")
+    write_hand_picture(hand, out)
+    typer.echo(f"{out}: {hand.told}")
 
 
 def _print(inspection: dict[str, Any]) -> None:

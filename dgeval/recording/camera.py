@@ -16,8 +16,10 @@ from dgeval.recording.alignment import Alignment
 from dgeval.recording.lens import Lens, lens_of
 from dgeval.recording.messages import CAMERA_INFO, CameraModel
 from dgeval.recording.roles import Roles, aligned
-from dgeval.recording.scan import Scan
+from dgeval.recording.scan import ImageHead, Scan
 from dgeval.recording.transforms import TransformTree
+
+SAME_SHAPE = 0.02  # by which the sides' ratio of a picture that was resized may change; ours
 
 
 @dataclass(frozen=True)
@@ -170,15 +172,23 @@ def _intrinsics(
         )
     notes = []
     used = _of_picture(model, colour_topic)
+    if head.width and not used.width * used.height:
+        if not (0.3 < used.cx / head.width < 0.7 and 0.3 < used.cy / head.height < 0.7):
+            raise UsageError(
+                f"{info_topic} states no size, and its middle ({used.cx:.0f}, {used.cy:.0f}) is "
+                f"not that of {colour_topic}, {head.width}x{head.height}",
+                Place(str(scan.opened.path)),
+                "give --set 'calibration.intrinsics=[fx, fy, cx, cy]'",
+            )
+        notes.append(f"{info_topic} states no size: taken for that of {colour_topic}")
+        used = Intrinsics(head.width, head.height, used.fx, used.fy, used.cx, used.cy)
+        return used, notes, None
     if head.width and (used.width, used.height) != (head.width, head.height):
-        x, y = head.width / max(used.width, 1), head.height / max(used.height, 1)
-        scaled = [used.fx * x, used.fy * y, (used.cx + 0.5) * x - 0.5, (used.cy + 0.5) * y - 0.5]
         raise UsageError(
             f"{colour_topic} is {head.width}x{head.height}, and its camera_info {info_topic} is of "
             f"{used.width}x{used.height}",
             Place(str(scan.opened.path)),
-            "if the picture was resized: --set 'calibration.intrinsics="
-            f"[{', '.join(f'{v:.6g}' for v in scaled)}]'",
+            _other_size(head, used),
         )
     lens = None
     if used is model.intrinsics:
@@ -187,6 +197,20 @@ def _intrinsics(
     if scan.camera_changes.get(info_topic or ""):
         notes.append("the intrinsics change within the recording; the first are used")
     return used, notes, lens
+
+
+def _other_size(head: ImageHead, stated: Intrinsics) -> str:
+    """What mends intrinsics of another size than the picture's."""
+    x, y = head.width / stated.width, head.height / stated.height
+    if abs(x / y - 1) < SAME_SHAPE:
+        scaled = [stated.fx * x, stated.fy * y]
+        scaled += [(stated.cx + 0.5) * x - 0.5, (stated.cy + 0.5) * y - 0.5]
+        numbers = ", ".join(f"{v:.6g}" for v in scaled)
+        return f"if the picture was resized: --set 'calibration.intrinsics=[{numbers}]'"
+    asked = "give the picture's own: --set 'calibration.intrinsics=[fx, fy, cx, cy]'"
+    if (stated.height, stated.width) == (head.width, head.height):
+        return f"width and height are swapped, or the picture is turned by 90 degrees: {asked}"
+    return f"the picture was cut: {asked}"
 
 
 def _static_mask(config: CalibrationConfig, camera: Intrinsics) -> NDArray[np.uint8] | None:

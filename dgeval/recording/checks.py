@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dgeval.config import ClockConfig
 from dgeval.recording.camera_motion import moved_pairs
-from dgeval.recording.camera_poses import wrong_poses
+from dgeval.recording.camera_poses import far_from_palm, wrong_poses
 from dgeval.recording.containers.opening import missing_parts
 from dgeval.recording.contract import (
     CLOSE_EVENT,
@@ -30,10 +30,11 @@ from dgeval.recording.contract import (
 from dgeval.recording.depth_unit import wrong_unit
 from dgeval.recording.events import Events
 from dgeval.recording.frame_reader import FrameReader, LostFrames
+from dgeval.recording.frozen import frozen_streams
 from dgeval.recording.joint_checks import joint_faults
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.messages import TF_TYPES
-from dgeval.recording.pairing import Window
+from dgeval.recording.pairing import Pair, Window
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
@@ -137,8 +138,9 @@ def failed_checks(
     window: Window,
     reader: FrameReader,
     clock: ClockConfig,
+    close_ns: int | None,
 ) -> tuple[list[Check], list[str]]:
-    """The checks that fail, and notes on what is near to failing."""
+    """The checks that fail, and notes on what is near to failing. close_ns: of the trial."""
     failed: list[Check] = []
     clocks, note = clock_check(scan, roles, clock)
     if clocks is not None:
@@ -174,8 +176,19 @@ def failed_checks(
                 unread = [n for n, t in scan.opened.topics.items() if t.unread and "joint" in n]
                 mend += f"; {', '.join(unread)} can't be read" if unread else ""
             failed.append(Check("poses", f"{what} frames", mend))
+    if robot.base_frame is not None and robot.palm_frame is not None:
+        times = [p.t_ns for p in window.pairs]
+        far = far_from_palm(robot.tree, robot.palm_frame, robot.camera_frame, times)
+        if far is not None:
+            failed.append(Check("camera_poses", far, "mend the transform between them"))
+    failed += [
+        Check("frozen", what, "what happens from there on is not seen; look at the driver")
+        for what in frozen_streams(scan, roles, window, reader)
+    ]
     assert roles.depth is not None
-    failed += _against_the_scene(reader, scan.images[roles.depth].encoding != "32FC1")
+    approach = [p for p in window.pairs if close_ns is None or p.t_ns <= close_ns]
+    seen = tuple(approach) if len(approach) >= SAMPLED else window.pairs
+    failed += _against_the_scene(reader, seen, scan.images[roles.depth].encoding != "32FC1")
     if roles.rival is not None:
         what = (
             f"{roles.rival} is another camera, and its frame has the same name as {roles.colour}'s"
@@ -251,7 +264,7 @@ def _ends_early(scan: Scan, roles: Roles, window: Window) -> list[Check]:
 
 
 def event_checks(
-    events: Events, scan: Scan, colour_ns: NDArray[np.int64], spec: TrialSpec
+    events: Events, scan: Scan, window: Window, colour_ns: NDArray[np.int64], spec: TrialSpec
 ) -> list[Check]:
     """Whether what was marked can be used: words that are not understood or contradict each other,
     and commands at times without images. What a person gave in the spec needs no mark.
@@ -284,6 +297,19 @@ def event_checks(
         later = (known[second] - known[first]) * 1e-9
         what = f"two labels contradict each other: {first}, and {second} {later:.2f} s later"
         failed.append(Check("label", what, mend))
+    given = {
+        "close": (spec.close_ns, spec.close_after_s),
+        "lift": (spec.lift_ns, spec.lift_after_s),
+    }
+    begins, ends = window.pairs[0].t_ns, window.pairs[-1].t_ns
+    for name, (t_ns, after_s) in given.items():
+        at = t_ns if after_s is None else begins + round(after_s * 1e9)
+        if at is not None and not begins - BESIDE_NS <= at <= ends + BESIDE_NS:
+            off, lasts = (at - begins) * 1e-9, (ends - begins) * 1e-9
+            what = f"the {name} that is given, at {off:+.2f} s, is outside of the {lasts:.2f} s"
+            failed.append(
+                Check("events", f"{what} of the trial", "give +SECONDS after the first frame")
+            )
     if len(colour_ns) and spec.close_ns is None and spec.close_after_s is None:
         first_ns, last_ns = int(colour_ns[0]) - BESIDE_NS, int(colour_ns[-1]) + BESIDE_NS
         for event in scan.events:
@@ -315,12 +341,16 @@ def part_check(recording: Path) -> list[Check]:
     ]
 
 
-def _against_the_scene(reader: FrameReader, is_integer: bool) -> list[Check]:
+def _against_the_scene(
+    reader: FrameReader, approach: tuple[Pair, ...], is_integer: bool
+) -> list[Check]:
     """Whether the depth of a few frames can be metres, and the camera's poses those of its optical
     frame.
+
+    approach: pairs before the hand lifts what it holds, which then moves with the camera.
     """
-    at = np.unique(np.linspace(0, len(reader.pairs) - 1, SAMPLED).astype(int))
-    pairs = tuple(reader.pairs[k] for k in at)
+    at = np.unique(np.linspace(0, len(approach) - 1, SAMPLED).astype(int))
+    pairs = tuple(approach[k] for k in at)
     frames = list(replace(reader, pairs=pairs, lost=LostFrames([])).frames())
     pairs_moved = moved_pairs(frames)
     found = wrong_unit(frames, pairs_moved)
@@ -329,7 +359,10 @@ def _against_the_scene(reader: FrameReader, is_integer: bool) -> list[Check]:
         if robot.base_frame is None:
             return []
         what = wrong_poses(pairs_moved, robot.tree, robot.base_frame, robot.camera_frame)
-        mend = "name the optical frame (frames.camera), or mend the transform"
+        mend = (
+            "is it the optical frame (frames.camera), is the hand-eye calibration right, and are "
+        )
+        mend += "the camera's stamps on the robot's clock (clock.colour.offset_ns)?"
         return [] if what is None else [Check("camera_poses", what, mend)]
     what, factor = found
     given = reader.camera.depth_scale

@@ -34,8 +34,13 @@ class Events:
 
     def labels(self) -> list[tuple[Event, object]]:
         """Each label with what it holds, as written; None where it holds nothing."""
-        found = [e for e in self.entries if e.kind == LABEL_EVENT]
-        return [(e, next((e.fields[k] for k in LABEL_KEYS if k in e.fields), None)) for e in found]
+        out: list[tuple[Event, object]] = []
+        for event in self.entries:
+            said = [event.fields[k] for k in LABEL_KEYS if k in event.fields]
+            # whatever the event is called, a word on how it ended is one
+            if said or event.kind == LABEL_EVENT:
+                out.append((event, said[0] if said else None))
+        return out
 
     def label(self) -> Literal["success", "failure"] | None:
         """What the first label that can be read says."""
@@ -68,7 +73,8 @@ def events_within(
     starts += [] if next_ns is None else [next_ns]
 
     def belongs(event: Event) -> bool:
-        is_late_label = event.kind == LABEL_EVENT and (not starts or event.t_ns < min(starts))
+        is_label = event.kind == LABEL_EVENT or any(key in event.fields for key in LABEL_KEYS)
+        is_late_label = is_label and (not starts or event.t_ns < min(starts))
         return start_ns <= event.t_ns and (event.t_ns <= last_ns or is_late_label)
 
     return Events(tuple(e for e in events if belongs(e)))

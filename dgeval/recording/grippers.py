@@ -7,6 +7,7 @@ closes.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -19,6 +20,8 @@ GRIPPER_WORDS = ("gripper", "finger", "jaw", "hand")
 COMMAND_WORDS = ("command", "cmd", "goal", "desired", "target", "setpoint")
 # words in the last part of a topic's name that is no position, and that is an effort
 NO_POSITION = ("speed", "veloc", "temp", "volt", "rate", "status_code")
+# parts of a topic's name that say that it is something on the hand
+NOT_THE_HAND = ("camera", "light", "led", "imu", "battery", "sound", "handle", "handover")
 EFFORT_WORDS = ("force", "effort", "torque", "current")
 # types whose number is what a gripper is told to do
 COMMAND_TYPES = ("Goal", "GripperCommand", "robot_output", "CommandedState")
@@ -103,6 +106,8 @@ def is_gripper_topic(name: str, kind: str) -> bool:
     """Whether a topic is a gripper's, by its name and by its type."""
     has_word = any(word in name.lower() for word in GRIPPER_WORDS)
     has_word &= not any(word in _last(name) for word in NO_POSITION)
+    parts = re.split(r"[/_]", name.lower())
+    has_word &= not any(part in NOT_THE_HAND for part in parts)
     known = kind in (*NUMBERS, GOALS) or "ripper" in kind or kind.endswith("GraspActionGoal")
     return has_word and known
 

@@ -138,6 +138,8 @@ def camera_model(message: Any) -> CameraModel:
         raise ValueError("the camera matrix is all zero: the camera is not calibrated")
     if not (np.isfinite(k).all() and fx > 0 and fy > 0):
         raise ValueError(f"camera matrix {k.tolist()} is not a camera's")
+    if k[2].tolist() != [0.0, 0.0, k[2, 2]] or k[2, 2] <= 0:
+        raise ValueError(f"camera matrix {k.tolist()} has no last row 0 0 1: is it transposed?")
     p = np.asarray(getattr(message, "p", getattr(message, "P", ())), dtype=np.float64).ravel()
     rectified = None
     if len(p) == 12 and np.isfinite(p).all() and p[0] > 0 and p[5] > 0:

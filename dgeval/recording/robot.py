@@ -223,23 +223,26 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     palm, hands = palm_of(scan, roles, config, tree, camera, description, notes)
     base = config.frames.base
     if base is None and tree.parent(camera) is not None:
-        chain = tree.ancestors(camera)
-        base = next((name for name in BASE_NAMES if name in chain), None)
-        if base is None and (tree.moving or tree.computed):
-            base = chain[-1]
-        elif base is None:
+        base = _base_above(tree, camera)
+        if base is None:
+            top = tree.root(camera)
+            robot = "no robot" if not (tree.moving or tree.computed) else "none to the robot"
             notes.append(
-                f"only static frames from {chain[-1]!r} to the camera are recorded, and no robot: "
-                "no camera pose; record /tf, or set frames.base if that frame stands still"
+                f"only static frames from {top!r} to the camera are recorded, and {robot}: no "
+                "camera pose; record the transform between them (the hand-eye calibration, "
+                "calibration.flange and calibration.T_flange_camera), or set frames.base if that "
+                "frame stands still"
                 + (
-                    f"; {roles.hand_pose} is recorded: if it is the pose of {chain[-1]!r}, publish "
-                    "it on /tf"
+                    f"; {roles.hand_pose} is recorded: if it is the pose of {top!r}, publish it on "
+                    "/tf"
                     if roles.hand_pose
                     else ""
                 )
             )
-    if base is not None and base not in tree.ancestors(camera):
-        raise UsageError(f"frames.base = {base!r} is not above the camera frame {camera!r} in tf")
+    if base is not None and tree.root(base) != tree.root(camera):
+        raise UsageError(
+            f"frames.base = {base!r} is not connected to the camera frame {camera!r} in tf"
+        )
     if base is None:
         known = tree.frames()
         if known and camera not in known:
@@ -285,6 +288,27 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     )
 
 
+def _base_above(tree: TransformTree, camera: str) -> str | None:
+    """The robot's base for a camera: by its name above the camera, else beside it in the same tree,
+    else the topmost frame; None where nothing moves between the camera and any of them.
+    """
+
+    def moves(frame: str) -> bool:
+        passed = {*tree.ancestors(camera)} ^ {*tree.ancestors(frame)}
+        return any(f in tree.moving or f in tree.computed for f in passed)
+
+    chain = tree.ancestors(camera)
+    named = [name for name in BASE_NAMES if name in chain]
+    # a tree that hangs on the moving body or on the hand, as tf2 allows it
+    beside = [n for n in BASE_NAMES if n not in chain and n in tree.frames()]
+    beside = [n for n in beside if tree.root(n) == chain[-1] and moves(n)]
+    if named:
+        return named[0]
+    if moves(chain[-1]):
+        return beside[0] if beside else chain[-1]
+    return beside[0] if beside else None
+
+
 def _contradict(a: Transforms, b: Transforms) -> bool:
     """Whether two sets of transforms give a frame two poses."""
     shared = sorted(a.is_static.keys() & b.is_static.keys())
@@ -303,11 +327,16 @@ def _contradict(a: Transforms, b: Transforms) -> bool:
 
 
 def _given_twice(heard: Transforms) -> list[str]:
-    """The static transforms that are given again with another place."""
-    first: dict[tuple[str, str], Array] = {}
+    """The static transforms that are given again with another place or parent."""
+    first: dict[str, tuple[str, Array]] = {}
     out: dict[str, str] = {}
     for edge in heard.static:
-        pose = first.setdefault((edge.parent, edge.child), edge.pose)
+        parent, pose = first.setdefault(edge.child, (edge.parent, edge.pose))
+        if parent != edge.parent:
+            out[edge.child] = (
+                f"the static frame {edge.child!r} hangs on {parent!r} and on {edge.parent!r}"
+            )
+            continue
         apart = float(np.linalg.norm(edge.pose[:3] - pose[:3]))
         turned = min(np.abs(edge.pose[3:] - pose[3:]).max(), np.abs(edge.pose[3:] + pose[3:]).max())
         if apart > SAME_POSE or turned > SAME_POSE:

@@ -7,6 +7,7 @@ per message and no image, so memory does not grow with the size of images.
 from __future__ import annotations
 
 import struct
+import zlib
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -75,14 +76,21 @@ STAMPED = (
         "geometry_msgs/msg/TwistStamped",
     }
 )
+# bytes of an image's message that may hold its stamp, in any encoding; every so many bytes after
+# them tell one picture from the next
+BEHIND_STAMP, DIGESTED = 64, 31
 
 
 @dataclass
 class TopicTimes:
-    """Log and header stamps of a topic, ns; header stamps only where the type has a header."""
+    """Log and header stamps of a topic, ns; header stamps only where the type has a header.
+
+    digests: of images, of every DIGESTED-th byte behind the stamp.
+    """
 
     log_ns: list[int] = field(default_factory=list)
     header_ns: list[int] = field(default_factory=list)
+    digests: list[int] = field(default_factory=list)
 
     def arrays(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Header stamps and log times; log times stand in where there is no header."""
@@ -169,6 +177,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
         times.log_ns.append(message.log_ns)
         try:
             if topic.type in IMAGE_TYPES:
+                times.digests.append(zlib.crc32(message.data[BEHIND_STAMP::DIGESTED]))
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
                 known = out.images.get(message.topic)
                 # a broken first image does not hide the topic

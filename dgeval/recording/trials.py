@@ -16,7 +16,7 @@ from dgeval.recording.checks import Check, clock_check, event_checks, failed_che
 from dgeval.recording.closes import CloseKnown, close_of, gripper_tracks
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
-from dgeval.recording.contract import EventKind
+from dgeval.recording.contract import CLOSE_EVENT, EventKind
 from dgeval.recording.events import Events, events_within
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames, recorded_grasps
@@ -168,10 +168,11 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     grasps, lost = recorded_grasps(scanned), LostFrames(opened.damage)
     codec = scanned.images[colour].codec
     reader = FrameReader(opened, colour, depth, window.pairs, camera, robot, grasps, lost, codec)
-    checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock)
+    close_ns = events.first_ns(CLOSE_EVENT)
+    checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock, close_ns)
     if not spec.parts:
         checks += part_check(spec.recording)
-    checks += event_checks(marked, scanned, pairing.colour_ns, spec)
+    checks += event_checks(marked, scanned, window, pairing.colour_ns, spec)
     notes += [*([close.note] if close.note else []), *hints, *(str(c) for c in checks)]
     return Trial(
         replace(spec, start_ns=window.start_ns, end_ns=window.end_ns),

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgeval.failure_rule import Outcome, OutcomeSource, outcome_without_close
+from dgeval.failure_rule import Outcome, OutcomeSource, Unknown, outcome_without_close
 from dgeval.geometry import transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.robot import RobotStates
 from dgeval.robots.described_hand import DescribedHand
-from dgeval.robots.hand import Hand, hands
+from dgeval.robots.hand import Grip, Hand, hands
 from dgeval.verdict.described_grip import described_grip
 from dgeval.verdict.log import TrialLog
 
@@ -76,6 +76,8 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
             f"the log ends {max(0.0, (last_ns - close_ns) * 1e-9):.1f} s after the close",
         )
     fingers = _pressing(log, last_ns)
+    if isinstance(fingers, Unknown):
+        return Ended("unknown", None, fingers.reason)
     seen = _seen_after(log.robot, hindsight, close_ns)
     if fingers is None and seen is None:
         return Ended(
@@ -109,27 +111,45 @@ def _without_close(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     return Ended(outcome, "inferred", why, 0.0 if outcome == "failure" else None)
 
 
-def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | None:
-    """What the fingers say at the end; None without the signals of a known hand.
+def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
+    """What the fingers say at the end; None without signals, `Unknown` where they contradict each
+    other.
 
     Names of joints tell the hand only where no description says more.
     """
     first_ns = last_ns - round(LAST_S * 1e9)
     samples = [s for s in log.hand_samples if first_ns <= s.t_ns <= last_ns]
     described = log.robot.description is not None
-    if isinstance(log.robot.hand, DescribedHand) and log.close_ns is not None:
-        return described_grip(log.robot.hand, list(log.hand_samples), log.close_ns, samples)
+    shown = None
+    if described:
+        geometry = log.robot.hand_by_description()
+        if isinstance(geometry, DescribedHand) and log.close_ns is not None:
+            shown = described_grip(geometry, list(log.hand_samples), log.close_ns, samples)
+        if isinstance(log.robot.hand, DescribedHand):
+            return shown
     known: tuple[Hand, ...] = hands()
     if described:
         known = () if log.robot.hand is None else (log.robot.hand,)
     for grip in (hand.grip for hand in known):
-        if grip is None:
+        if grip is None or not _is_signal(log, grip):
             continue
         values = [s.positions if grip.signal == "position" else s.efforts for s in samples]
         rows = [[v[n] for n in grip.joints] for v in values if all(n in v for n in grip.joints)]
         if len(rows) >= grip.least:
-            return grip.holds(np.array(rows))
+            holds = grip.holds(np.array(rows))
+            if shown is not None and shown[0] != holds[0]:
+                return Unknown(
+                    f"{holds[1]}, but {shown[1]}: are efforts in other units, or is their zero off?"
+                )
+            return holds
     return None
+
+
+def _is_signal(log: TrialLog, grip: Grip) -> bool:
+    """Whether a grip's signal can tell anything: efforts that are always 0 are not measured."""
+    if grip.signal == "position":
+        return True
+    return any(s.efforts.get(name) for s in log.hand_samples for name in grip.joints)
 
 
 def _seen_after(

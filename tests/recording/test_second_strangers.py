@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -346,3 +347,152 @@ def test_a_body_frame_in_place_of_the_optical_one_is_told(
     trial = opened(write(tmp_path / "a.mcap", listed))
     assert "camera_poses" in names(trial)
     assert "body" in said(trial)
+
+
+def with_pictures(messages: list[Message], topic: str, held: int) -> list[Message]:
+    """From image number `held` on, a topic sends the same picture under new stamps."""
+    out, k, kept = [], 0, None
+    for m in messages:
+        value = m[3]
+        if m[1] == topic:
+            kept = value.data if k == held else kept
+            if k > held:
+                value = copy.copy(value)
+                value.data = kept
+            k += 1
+        out.append([*m[:3], value])
+    return out
+
+
+@pytest.mark.parametrize("topic", [COLOUR, DEPTH])
+def test_a_picture_that_is_sent_again_and_again_is_told(
+    tmp_path: Path, messages: list[Message], topic: str
+) -> None:
+    """Fails where a driver that hangs gives an object that stands still."""
+    trial = opened(write(tmp_path / "a.mcap", with_pictures(messages, topic, 20)))
+    assert "frozen" in names(trial)
+    assert "is the same for" in said(trial)
+
+
+def edges(parents: dict[str, str], stamp: Any) -> Any:
+    """Static transforms (x 0.1 m) by child."""
+    listed = []
+    for child, parent in parents.items():
+        header = copy.deepcopy(stamp)
+        header.frame_id = parent
+        pose = TYPES["geometry_msgs/msg/Transform"](
+            translation=TYPES["geometry_msgs/msg/Vector3"](x=0.1, y=0.0, z=0.0),
+            rotation=TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        listed.append(
+            TYPES["geometry_msgs/msg/TransformStamped"](
+                header=header, child_frame_id=child, transform=pose
+            )
+        )
+    return TYPES["tf2_msgs/msg/TFMessage"](transforms=listed)
+
+
+def test_a_rig_that_nothing_joins_to_the_robot_is_no_base(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where the driver's camera_link is the base as soon as a robot is recorded beside it."""
+    listed, camera = [], "camera_color_optical_frame"
+    for m in messages:
+        value = m[3]
+        if m[1] == DESCRIPTION:
+            value = TYPES[STRING](data=value.data.replace(camera, "another_camera"))
+        listed.append([*m[:3], value])
+    first = next(m for m in messages if m[1] == COLOUR)
+    driver = edges(
+        {"camera_color_frame": "camera_link", camera: "camera_color_frame"}, first[3].header
+    )
+    listed.append([first[0], "/tf_static", "tf2_msgs/msg/TFMessage", driver])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert trial.robot.base_frame is None
+    assert any("none to the robot" in note for note in trial.notes)
+
+
+def test_a_static_frame_with_two_parents_is_told(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where the last that was heard counts."""
+    first = next(m for m in messages if m[1] == COLOUR)
+    listed = list(messages)
+    for parent in ("camera_link", "hand_base"):
+        value = edges({"camera_frame": parent}, first[3].header)
+        listed.append([first[0], "/tf_static", "tf2_msgs/msg/TFMessage", value])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert names(trial) == ["tree"]
+    assert "hangs on 'camera_link' and on 'hand_base'" in said(trial)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"event": "outcome", "outcome": "fail"}',
+        '{"event": "trial_end", "success": false}',
+        '{"event": "done", "result": "failed"}',
+    ],
+)
+def test_how_it_ended_is_a_label_whatever_the_event_is_called(
+    tmp_path: Path, messages: list[Message], text: str
+) -> None:
+    """Fails where an operator's failure is a success by the fingers."""
+    last = max(m[0] for m in messages)
+    listed = [m for m in messages if not (m[1] == EVENTS and "label" in m[3].data)]
+    listed.append([last, EVENTS, STRING, TYPES[STRING](data=text)])
+    assert opened(write(tmp_path / "a.mcap", listed)).events.label() == "failure"
+
+
+def with_info(messages: list[Message], change: Callable[[Any], None]) -> list[Message]:
+    out = []
+    for m in messages:
+        value = m[3]
+        if m[1] == INFO:
+            value = copy.deepcopy(value)
+            change(value)
+        out.append([*m[:3], value])
+    return out
+
+
+def test_intrinsics_without_a_size_are_those_of_the_picture(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a mend of 92800 px is proposed."""
+
+    def unsized(info: Any) -> None:
+        info.width = info.height = 0
+
+    whole = opened(write(tmp_path / "b.mcap", messages)).camera
+    trial = opened(write(tmp_path / "a.mcap", with_info(messages, unsized)))
+    assert trial.camera == whole
+    assert any("states no size" in note for note in trial.notes)
+
+
+def test_intrinsics_of_a_turned_picture_are_not_stretched(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    def turned(info: Any) -> None:
+        info.width, info.height = info.height, info.width
+
+    with pytest.raises(UsageError) as caught:
+        opened(write(tmp_path / "a.mcap", with_info(messages, turned)))
+    assert "turned by 90 degrees" in str(caught.value)
+    assert "[fx, fy, cx, cy]" in str(caught.value)
+
+
+def test_a_camera_matrix_that_is_transposed_is_refused(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    def transposed(info: Any) -> None:
+        info.k = np.asarray(info.k).reshape(3, 3).T.ravel()
+
+    with pytest.raises(UsageError, match="transposed"):
+        opened(write(tmp_path / "a.mcap", with_info(messages, transposed)))
+
+
+def test_a_given_close_outside_of_the_trial_is_told(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    spec = replace(find_trials([write(tmp_path / "a.mcap", messages)])[0], close_after_s=99.0)
+    trial = open_trial(spec, Config())
+    assert "events" in names(trial)
+    assert "at +99.00 s" in said(trial)

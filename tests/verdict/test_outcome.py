@@ -269,9 +269,16 @@ def test_both_flexion_joints_of_a_finger_are_looked_at() -> None:
     assert outcome(trial(joints=two), None).outcome == "success"
 
 
+def test_efforts_that_are_zero_all_the_time_are_none() -> None:
+    """Fails where a driver that fills efforts with zeros makes a failure of every success."""
+    zeros = dict.fromkeys(FLEXION, 0.0)
+    joints = [JointSample(at(4 - 0.02 * k), {}, zeros) for k in reversed(range(20))]
+    assert outcome(trial(joints=joints), None).outcome == "unknown"
+
+
 def test_efforts_of_abduction_are_not_a_grip() -> None:
     """Catches fingers that are spread apart taken for ones that press."""
-    spread = dict.fromkeys(FLEXION, 0.0) | {f"{f}_0": 0.5 for f in FINGERS}
+    spread = dict.fromkeys(FLEXION, 0.001) | {f"{f}_0": 0.5 for f in FINGERS}
     joints = [JointSample(at(4 - 0.02 * k), {}, spread) for k in reversed(range(20))]
     assert outcome(trial(joints=joints), None).outcome == "failure"
 
