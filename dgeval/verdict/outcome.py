@@ -80,9 +80,11 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
         return Ended("unknown", None, fingers.reason)
     seen = _seen_after(log.robot, hindsight, close_ns)
     if fingers is None and seen is None:
-        return Ended(
-            "unknown", None, "neither efforts nor a sighting after the lift say how it ended"
-        )
+        why = "neither efforts nor a sighting after the lift say how it ended"
+        efforts = [e for s in log.hand_samples for e in s.efforts.values()]
+        if efforts and not any(efforts):
+            why += " (all efforts are 0, as where they are not measured)"
+        return Ended("unknown", None, f"{why}; an operator's word does: --label success|failure")
     if fingers is not None and seen is not None and fingers[0] != seen[0]:
         return Ended("unknown", None, f"{fingers[1]}, but {seen[1]}")
     held = (fingers or seen)[0]  # type: ignore[index]

@@ -103,7 +103,10 @@ EMPTY, GRIP = efforts(0.01, -0.01, 0.0, 0.0, 0.0), efforts(0.30, -0.20, 0.0, 0.0
 EMPTY_SAYS = "the fingers hold nothing at the end (0.01, 0.01, 0.00, 0.00, 0.00 Nm)"
 GRIP_SAYS = "2 fingers still press at the end (0.30, 0.20, 0.00, 0.00, 0.00 Nm)"
 NOTHING_SAID = Ended(
-    "unknown", None, "neither efforts nor a sighting after the lift say how it ended"
+    "unknown",
+    None,
+    "neither efforts nor a sighting after the lift say how it ended; an operator's word does: "
+    "--label success|failure",
 )
 
 # labels
