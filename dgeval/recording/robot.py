@@ -32,6 +32,7 @@ from dgeval.robots.recognition import known_hand
 
 # names of the robot's base in common descriptions, in order of preference
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
+ODOMETRY = "odom"  # where the body of a robot is the top of its tree
 SAME_POSE = 0.005  # m and parts of a quaternion; transforms that differ by less are one; ours
 
 
@@ -300,7 +301,7 @@ def _base_above(tree: TransformTree, camera: str) -> str | None:
     chain = tree.ancestors(camera)
     named = [name for name in BASE_NAMES if name in chain]
     # a tree that hangs on the moving body or on the hand, as tf2 allows it
-    beside = [n for n in BASE_NAMES if n not in chain and n in tree.frames()]
+    beside = [n for n in (*BASE_NAMES, ODOMETRY) if n not in chain and n in tree.frames()]
     beside = [n for n in beside if tree.root(n) == chain[-1] and moves(n)]
     if named:
         return named[0]

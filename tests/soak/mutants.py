@@ -800,6 +800,92 @@ MUTANTS = [
         "if apart > 3 * SAME_M:",
         "tests/robots/test_recognition.py::test_the_same_names_on_another_hand",
     ),
+    # a hand by its description
+    Mutant(
+        "dgeval/robots/hand_links.py",
+        '        if joint.parent in group and joint.kind != "fixed"\n',
+        "        if joint.parent in group\n",
+        "tests/robots/test_hand_links.py",
+    ),
+    Mutant(
+        "dgeval/robots/hand_links.py",
+        'joint.kind != "fixed" and joint.follows in names for joint',
+        'joint.kind != "fixed" for joint',
+        "tests/robots/test_hand_links.py",
+    ),
+    Mutant(
+        "dgeval/robots/loading.py",
+        "offset + multiplier * added",
+        "offset + added",
+        "tests/robots/test_hand_links.py",
+    ),
+    Mutant(
+        "dgeval/robots/hand_geometry.py",
+        "                if apart < best:\n",
+        "                if apart > best:\n",
+        "tests/robots/test_described_hand.py",
+    ),
+    Mutant(
+        "dgeval/verdict/described_grip.py",
+        "    if at_limit[closed].all():\n",
+        "    if at_limit[closed].all() and False:\n",
+        "tests/verdict/test_described_grip.py",
+    ),
+    Mutant(
+        "dgeval/verdict/recorded_closing.py",
+        "np.flatnonzero(moved & stopped)",
+        "np.flatnonzero(moved)",
+        "tests/verdict/test_described_grip.py",
+    ),
+    Mutant(
+        OUTCOME,
+        "shown is not None and shown[0] != holds[0]",
+        "False and shown is not None",
+        "tests/verdict/test_described_verdict.py",
+    ),
+    Mutant(
+        "dgeval/worlds/scene.py",
+        "o.disableflags |= int(",
+        "o.disableflags |= 0 * int(",
+        "tests/worlds/test_contacts.py",
+    ),
+    # a stranger's log
+    Mutant(
+        "dgeval/recording/camera_poses.py",
+        "    if share > CONTRADICTS:\n",
+        "    if share > 10 * CONTRADICTS:\n",
+        "tests/recording/test_camera_poses.py",
+    ),
+    Mutant(
+        "dgeval/recording/camera_poses.py",
+        "if apart <= MOST_FROM_PALM_M:",
+        "if apart <= 100 * MOST_FROM_PALM_M:",
+        "tests/recording/test_camera_poses.py",
+    ),
+    Mutant(
+        "dgeval/recording/frozen.py",
+        "        if lasts_s <= HANGS_S:\n",
+        "        if lasts_s <= 100 * HANGS_S:\n",
+        "tests/recording/test_second_strangers.py",
+    ),
+    Mutant(
+        "dgeval/recording/robot.py",
+        "    if moves(chain[-1]):\n",
+        "    if True:\n",
+        "tests/recording/test_second_strangers.py",
+    ),
+    Mutant(
+        "dgeval/recording/events.py",
+        "if said or event.kind == LABEL_EVENT:",
+        "if event.kind == LABEL_EVENT:",
+        "tests/recording/test_second_strangers.py",
+    ),
+    Mutant(
+        "dgeval/recording/transforms.py",
+        "np.roll(pose[3:], -1)",
+        "np.roll(pose[3:], 1)",
+        "tests/recording/test_second_strangers.py",
+    ),
 ]
 
 

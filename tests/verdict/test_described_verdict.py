@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from dgeval import api
 from dgeval.perception.pipeline import Perception
 from dgeval.robots.described_hand import DescribedHand
 from dgeval.verdict.judge import Judgement
+from dgeval.verdict.log import log_of
+from dgeval.verdict.outcome import outcome_of
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 JOINT_STATE, STRING = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
-SMOKE = Path(__file__).parents[2] / "datasets" / "ci-smoke"
+COLLIDED = Path(__file__).parents[2] / "datasets" / "ci-smoke" / "pudding_box-120-0030.mcap"
 OTHER_NAMES = {"thumb": "f5", "index": "f1", "middle": "f2", "ring": "f3", "little": "f4"}
 
 
@@ -25,8 +28,8 @@ def renamed(text: str) -> str:
     return text
 
 
-def under_other_names(source: Path, target: Path) -> Path:
-    """The recording with other names of fingers, in joint states and description."""
+def rewritten(source: Path, target: Path, effort: float, names: bool) -> Path:
+    """The recording with so much added to each effort, Nm; names: with other names of fingers."""
     with source.open("rb") as read, target.open("wb") as written:
         writer = Writer(written)
         writer.start(profile="ros2", library="test")
@@ -39,9 +42,10 @@ def under_other_names(source: Path, target: Path) -> Path:
             data = message.data
             if schema.name == JOINT_STATE:
                 states = STORE.deserialize_cdr(data, JOINT_STATE)
-                states.name = [renamed(name) for name in states.name]
+                states.name = [renamed(n) if names else n for n in states.name]
+                states.effort = np.asarray(states.effort) + effort
                 data = bytes(STORE.serialize_cdr(states, JOINT_STATE))
-            elif channel.topic == "/robot_description":
+            elif names and channel.topic == "/robot_description":
                 text = STORE.deserialize_cdr(data, STRING)
                 text.data = renamed(text.data)
                 data = bytes(STORE.serialize_cdr(text, STRING))
@@ -61,8 +65,19 @@ def judged(path: Path) -> Judgement:
 @pytest.mark.slow
 def test_a_hand_under_other_names_has_the_same_verdict(tmp_path: Path) -> None:
     """By name: a collision of the middle finger's last link with 0.91; nobody labelled it."""
-    found = judged(under_other_names(SMOKE / "pudding_box-120-0030.mcap", tmp_path / "a.mcap"))
+    found = judged(rewritten(COLLIDED, tmp_path / "a.mcap", 0.0, names=True))
     assert (found.row.outcome, found.row.failure_class) == ("failure", "collision")
     assert (found.row.p_collision or 0.0) > 0.8
     assert found.link == "f2_3"
     assert any("5 fingers on 'hand_base', by the description alone" in n for n in found.notes)
+
+
+@pytest.mark.parametrize(("effort", "outcome"), [(0.0, "failure"), (0.15, "unknown")])
+def test_efforts_whose_zero_is_off_are_no_success(
+    tmp_path: Path, effort: float, outcome: str
+) -> None:
+    """Fails where every finger of an empty hand still presses, by 0.15 Nm."""
+    trial = api.open_trial(rewritten(COLLIDED, tmp_path / "a.mcap", effort, names=False))
+    found = outcome_of(log_of(trial), None)
+    assert found.outcome == outcome
+    assert ("is their zero off" in found.evidence) == (outcome == "unknown")
