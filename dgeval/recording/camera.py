@@ -19,6 +19,7 @@ from dgeval.recording.roles import Roles, aligned
 from dgeval.recording.scan import ImageHead, Scan
 from dgeval.recording.transforms import TransformTree
 
+LEAST_APART_M = 0.003  # m, between two sensors of one device at least; ours
 SAME_SHAPE = 0.02  # by which the sides' ratio of a picture that was resized may change; ours
 
 
@@ -29,7 +30,8 @@ class Camera:
     depth_scale: m per unit of integer depth, None for the ROS convention. static_mask (H, W):
     depth is dropped where it is not 0; None without one. alignment: of depth that has its own
     camera; None for depth that is aligned as recorded. lens, depth_lens: of the colour and of the
-    depth pictures; None without distortion. notes: what was assumed.
+    depth pictures; None without distortion. notes: what was assumed. doubt: what makes the
+    alignment doubtful, "" without.
     """
 
     intrinsics: Intrinsics
@@ -39,6 +41,7 @@ class Camera:
     alignment: Alignment | None = None
     lens: Lens | None = None
     depth_lens: Lens | None = None
+    doubt: str = ""
 
     def straight(
         self, colour: NDArray[np.uint8], depth: NDArray[np.float32]
@@ -71,12 +74,21 @@ def camera_of(
     intrinsics or for a bad mask; UnreadableError for depth that can't be aligned.
     """
     intrinsics, notes, lens = _intrinsics(scan, colour_topic, roles.intrinsics, config)
-    alignment, depth_lens = None, lens
+    alignment, depth_lens, doubt = None, lens, ""
     if not aligned(scan, colour_topic, depth_topic):
         alignment, depth_lens = _alignment(
             scan, colour_topic, depth_topic, roles.depth_intrinsics, intrinsics, tree, t_ns, config
         )
         frames = scan.images[depth_topic].frame_id, scan.images[colour_topic].frame_id
+        is_stated = scan.cameras.get(roles.depth_intrinsics or "") is not None
+        if is_stated and alignment.depth == intrinsics and config.T_colour_depth is None:
+            # no two sensors are alike to the last digit
+            apart = float(np.linalg.norm(alignment.T_colour_depth[:3, 3]))
+            if apart > LEAST_APART_M:
+                doubt = (
+                    f"depth has exactly colour's intrinsics, and its frame {frames[0]!r} is "
+                    f"{apart * 1000:.0f} mm from {frames[1]!r}: is it aligned to colour already?"
+                )
         if depth_lens is not None:
             notes.append(
                 f"the depth camera's lens distortion of up to {depth_lens.most_px:.1f} px is taken "
@@ -91,7 +103,7 @@ def camera_of(
     mask = _static_mask(config, intrinsics)
     if mask is not None and lens is not None:
         mask = lens.mask(mask)
-    return Camera(intrinsics, scale, mask, tuple(notes), alignment, lens, depth_lens)
+    return Camera(intrinsics, scale, mask, tuple(notes), alignment, lens, depth_lens, doubt)
 
 
 def _stated_unit(scan: Scan, depth_topic: str) -> float | None:

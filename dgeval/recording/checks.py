@@ -189,6 +189,9 @@ def failed_checks(
     approach = [p for p in window.pairs if close_ns is None or p.t_ns <= close_ns]
     seen = tuple(approach) if len(approach) >= SAMPLED else window.pairs
     failed += _against_the_scene(reader, seen, scan.images[roles.depth].encoding != "32FC1")
+    if reader.camera.doubt:
+        mend = "if so --set 'calibration.T_colour_depth=[0,0,0,0,0,0,1]', else the transform"
+        failed.append(Check("cameras", reader.camera.doubt, mend))
     if roles.rival is not None:
         what = (
             f"{roles.rival} is another camera, and its frame has the same name as {roles.colour}'s"

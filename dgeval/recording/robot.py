@@ -389,17 +389,22 @@ def _description(
 def _description_topic(
     scan: Scan, roles: Roles, joints: JointTrack, config: Config, notes: list[str]
 ) -> str | None:
-    """Of several descriptions that of the camera's namespace, else the one with the most joints
-    that are recorded; said in the notes.
+    """Of several descriptions that of the camera's namespace, else one that has the images' frame,
+    else the one with the most joints that are recorded; said in the notes.
     """
     if len(scan.descriptions) <= 1:
         return next(iter(scan.descriptions), None)
     home = home_of(roles.colour, config.frames.namespace)
 
-    def rank(topic: str) -> tuple[bool, int, int, str]:
+    head = scan.images.get(roles.colour) if roles.colour else None
+    camera = config.frames.camera or (head.frame_id if head is not None else "")
+
+    def rank(topic: str) -> tuple[bool, bool, int, int, str]:
         namespace = namespace_of(topic)
+        has_camera = bool(camera) and f'"{camera}"' in scan.descriptions[topic]
         recorded = sum(f'"{name}"' in scan.descriptions[topic] for name in joints.times)
-        return not (namespace and holds(namespace, home)), -recorded, -len(namespace), topic
+        is_home = bool(namespace) and holds(namespace, home)
+        return not is_home, not has_camera, -recorded, -len(namespace), topic
 
     best = min(scan.descriptions, key=rank)
     others = ", ".join(sorted(scan.descriptions.keys() - {best}))

@@ -27,6 +27,7 @@ LAST_S = 0.5  # s of the log, over which efforts are judged; ours
 IN_HAND_M, AWAY_M = 0.04, 0.10
 # probability that an inferred outcome is right: by fingers and sightings, fingers, sightings; ours
 P_BOTH, P_FINGERS, P_SEEN = 0.99, 0.97, 0.90
+LEAST_AFTER = 20  # joint states after the close, that tell whether the fingers moved
 # m; half of the sightings after the lift agree on the height to within that, or say nothing
 STEADY_M = 0.02
 # m: rise below which a sighted object was left, above which it came along
@@ -81,6 +82,8 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     seen = _seen_after(log.robot, hindsight, close_ns)
     if fingers is None and seen is None:
         why = "neither efforts nor a sighting after the lift say how it ended"
+        if _is_stuck(log):
+            why += " (the fingers' states stay the same from the close on: does their driver hang?)"
         efforts = [e for s in log.hand_samples for e in s.efforts.values()]
         if efforts and not any(efforts):
             why += " (all efforts are 0, as where they are not measured)"
@@ -121,6 +124,8 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
     """
     first_ns = last_ns - round(LAST_S * 1e9)
     samples = [s for s in log.hand_samples if first_ns <= s.t_ns <= last_ns]
+    if _is_stuck(log):
+        return None
     described = log.robot.description is not None
     shown = None
     if described:
@@ -145,6 +150,22 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
                 )
             return holds
     return None
+
+
+def _is_stuck(log: TrialLog) -> bool:
+    """Whether all finger joints stay the same from the close on, to the last digit: their driver
+    hangs, or the hand did not move.
+    """
+    robot, close_ns = log.robot, log.close_ns
+    hand = robot.hand if robot.description is not None else None
+    if hand is None or close_ns is None:
+        return False
+    before = [s for s in log.hand_samples if s.t_ns <= close_ns]
+    after = [s for s in log.hand_samples if s.t_ns > close_ns]
+    seen = [n for n in hand.joints if before and n in before[-1].positions]
+    if not seen or len(after) < LEAST_AFTER:
+        return False
+    return all(s.positions.get(n) == before[-1].positions[n] for s in after for n in seen)
 
 
 def _is_signal(log: TrialLog, grip: Grip) -> bool:

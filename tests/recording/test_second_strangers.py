@@ -496,3 +496,48 @@ def test_a_given_close_outside_of_the_trial_is_told(
     trial = open_trial(spec, Config())
     assert "events" in names(trial)
     assert "at +99.00 s" in said(trial)
+
+
+def test_depth_with_exactly_colours_intrinsics_is_asked_about(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where depth that its driver aligned is aligned again, as its frame is its own."""
+    listed, first = [], next(m for m in messages if m[1] == COLOUR)
+    for m in messages:
+        value = m[3]
+        if m[1] == DEPTH:
+            value = copy.deepcopy(value)
+            value.header.frame_id = "camera_depth_optical_frame"
+        listed.append([*m[:3], value])
+        if m[1] == INFO:
+            info = copy.deepcopy(m[3])
+            info.header.frame_id = "camera_depth_optical_frame"
+            listed.append([m[0], DEPTH.split("/image_raw")[0] + "/camera_info", m[2], info])
+    mount = edges({"camera_depth_optical_frame": "camera_color_optical_frame"}, first[3].header)
+    listed.append([first[0], "/tf_static", "tf2_msgs/msg/TFMessage", mount])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert "cameras" in names(trial)
+    assert "aligned to colour already" in said(trial)
+
+
+def test_of_two_descriptions_that_with_the_images_frame(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where the hand's own description is taken and the camera has no place in it."""
+    one = next(m for m in messages if m[1] == DESCRIPTION)
+    frame = "camera_color_optical_frame"
+    states = next(m for m in messages if m[1] == JOINTS)[3].name
+    # more of the recorded joints stand in it, and not the camera
+    links = "".join(
+        f'<link name="l{k}"/><joint name="{name}" type="fixed"><parent link="root"/>'
+        f'<child link="l{k}"/></joint>'
+        for k, name in enumerate([*states, "another"])
+    )
+    text = f'<robot name="hand"><link name="root"/>{links}</robot>'
+    listed = [
+        [one[0] - 1, "/a_hand/robot_description", STRING, TYPES[STRING](data=text)],
+        *messages,
+    ]
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert trial.robot.description is not None
+    assert frame in trial.robot.description.joints

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,3 +82,16 @@ def test_efforts_whose_zero_is_off_are_no_success(
     found = outcome_of(log_of(trial), None)
     assert found.outcome == outcome
     assert ("is their zero off" in found.evidence) == (outcome == "unknown")
+
+
+def test_fingers_that_hang_from_the_close_on_say_nothing(tmp_path: Path) -> None:
+    """Fails where a driver that hangs makes a failure of a success."""
+    trial = api.open_trial(rewritten(COLLIDED, tmp_path / "a.mcap", 0.0, names=False))
+    log = log_of(trial)
+    assert log.close_ns is not None
+    held = next(s for s in reversed(log.hand_samples) if s.t_ns <= log.close_ns)
+    until = log.close_ns
+    samples = tuple(s if s.t_ns <= until else replace(held, t_ns=s.t_ns) for s in log.hand_samples)
+    found = outcome_of(replace(log, hand_samples=samples), None)
+    assert found.outcome == "unknown"
+    assert "does their driver hang" in found.evidence
