@@ -50,8 +50,8 @@ def replay(
         str | None,
         typer.Option(
             metavar="TIME",
-            help="When the hand was told to close: +3.2 s after the first frame, or a stamp in s. "
-            "Needs exactly one trial.",
+            help="When the hand was told to close: +3.2 s after the first frame, or a stamp such "
+            "as 1800000003.2. Needs exactly one trial.",
         ),
     ] = None,
     lift: Annotated[

@@ -79,11 +79,8 @@ class Description:
     mass_centres: dict[str, Array] = field(default_factory=dict)
     radius: float = 0.01
 
-    def branches(self) -> list[str]:
-        """The deepest links at which two or more chains of movable joints part, in name order.
-
-        They are the bases of hands; a base of two arms has deeper ones below it.
-        """
+    def partings(self) -> list[str]:
+        """The links at which two or more chains of movable joints part, in name order."""
         children: dict[str, list[Joint]] = {}
         for joint in self.joints.values():
             children.setdefault(joint.parent, []).append(joint)
@@ -91,8 +88,15 @@ class Description:
         def moves(joint: Joint) -> bool:
             return joint.kind != "fixed" or any(moves(j) for j in children.get(joint.child, []))
 
-        parting = {link for link, listed in children.items() if sum(map(moves, listed)) >= 2}
-        return sorted(link for link in parting if not parting & set(self.below(link)) - {link})
+        return sorted(link for link, listed in children.items() if sum(map(moves, listed)) >= 2)
+
+    def branches(self) -> list[str]:
+        """The deepest of the partings: the bases of hands. One of two arms has others below it."""
+        return self.deepest(self.partings())
+
+    def deepest(self, links: list[str]) -> list[str]:
+        """Those of some links that have none of them below."""
+        return [link for link in links if not set(links) & set(self.below(link)) - {link}]
 
     def below(self, link: str) -> list[str]:
         """The link and all links that hang from it, in name order."""

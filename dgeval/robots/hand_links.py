@@ -55,8 +55,8 @@ def hand_links(description: Description, palm: str, recorded: Collection[str]) -
     # beyond the wrist, or on one of several arms: what reaches far is no finger
     long = tuple(c for c in chains if _reach(description, c) > LONGEST_FINGER_M)
     arms = chains if len(chains) == 1 else long
-    deeper = [b for b in description.branches() if any(b in arm for arm in arms)]
-    own = [b for b in deeper if _drives_itself(description, b)]
+    deeper = [b for b in description.partings() if any(b in arm for arm in arms)]
+    own = description.deepest([b for b in deeper if _drives_itself(description, b)])
     if len(own) > 1:
         return f"the hand could hang on {' or '.join(own)}: name its palm (frames.palm)"
     if own:

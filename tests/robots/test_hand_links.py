@@ -35,7 +35,8 @@ def test_one_jaw_faces_what_is_fixed() -> None:
     assert fingers(found) == ["left"]
 
 
-def test_a_finger_that_is_a_linkage_is_no_hand() -> None:
+@pytest.mark.parametrize("palm", ["flange", "lower"])
+def test_a_finger_that_is_a_linkage_is_no_hand(palm: str) -> None:
     """Fails where the deepest parting is taken, whose bars follow a joint above it."""
     linkage = [*GRIPPER[:5]]
     for side in ("left", "right"):
@@ -46,7 +47,7 @@ def test_a_finger_that_is_a_linkage_is_no_hand() -> None:
         for bar in ("inner", "outer"):
             name, mimic = f"{side}_{bar}", follows("left_drive", -1.0)
             linkage.append(joint(name, f"{side}_knuckle", name, xyz="0 0 0.03", mimic=mimic))
-    found = hand_links(loaded(linkage), "flange", {"left_drive"})
+    found = hand_links(loaded(linkage), palm, {"left_drive", "wrist"})
     assert fingers(found) == ["left_knuckle", "right_knuckle"]
 
 
