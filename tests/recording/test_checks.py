@@ -79,6 +79,7 @@ def checks_of(
     roles: Any = SimpleNamespace(colour="/c", depth="/d", joints=(), rival=None)
     robot: Any = SimpleNamespace(
         base_frame="base",
+        palm_frame=None,
         conflict="",
         hands=(),
         changed=(),
@@ -87,9 +88,9 @@ def checks_of(
         T_base_camera=lambda t: np.eye(4) if t < known * 33_000_000 else None,
     )
     window = Window(0, stamps[-1], pairs, 0, 0, faults)
-    reader: Any = None
+    reader: Any = SimpleNamespace(robot=robot, camera=SimpleNamespace(doubt=""))
     monkeypatch.setattr("dgeval.recording.checks._against_the_scene", lambda *_: [])
-    failed, _ = failed_checks(scan, roles, robot, window, reader, Config().clock)
+    failed, _ = failed_checks(scan, roles, robot, window, reader, Config().clock, None)
     return [c.name for c in failed]
 
 

@@ -90,7 +90,7 @@ def test_nothing_else_knows_a_finger() -> None:
                 "dgeval.robots."
             ):
                 allowed = ("hand", "mjcf", "urdf", "diana7", "description", "recognition")
-                allowed += ("loading", "hand_links", "described_hand")
+                allowed += ("loading", "hand_links", "described_hand", "hand_solids")
                 assert node.module.split(".")[2] in allowed, (path, node.module)
 
 
