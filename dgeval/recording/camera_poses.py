@@ -31,8 +31,7 @@ def wrong_poses(
     """What is wrong with T_base_camera of the tree; None where it fits, or nothing can be said.
 
     It is of a body frame, x forward and z up, and not of the optical one; or a quaternion above the
-    camera is written w first; or it fits nothing: in no two frames is a point where the other has
-    it.
+    camera is written w first; or most pairs of frames contradict it.
     """
     given = np.array([pair.as_given for pair in pairs])
     if not len(given) or (given <= FITS).mean() > 0.5:
@@ -76,14 +75,19 @@ def wrong_poses(
     return None
 
 
-def far_from_palm(tree: TransformTree, palm: str, camera: str, times: Sequence[int]) -> str | None:
+def far_from_palm(
+    tree: TransformTree, base: str, palm: str, camera: str, times: Sequence[int]
+) -> str | None:
     """What is wrong where a camera moves with the palm and is far from it; None where it is near.
 
     times: ns, at which both are looked for.
     """
     known = [T[:3, 3] for t in times if (T := tree.lookup(palm, camera, t)) is not None]
+    way = [T[:3, 3] for t in times if (T := tree.lookup(base, palm, t)) is not None]
     if len(known) < 2 or np.ptp(np.array(known), axis=0).max() > MOVES_WITH_M:
         return None
+    if len(way) < 2 or np.ptp(np.array(way), axis=0).max() < 2 * MOVES_WITH_M:
+        return None  # both stand still
     apart = float(np.linalg.norm(known[0]))
     if apart <= MOST_FROM_PALM_M:
         return None

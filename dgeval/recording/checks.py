@@ -178,7 +178,8 @@ def failed_checks(
             failed.append(Check("poses", f"{what} frames", mend))
     if robot.base_frame is not None and robot.palm_frame is not None:
         times = [p.t_ns for p in window.pairs]
-        far = far_from_palm(robot.tree, robot.palm_frame, robot.camera_frame, times)
+        frames = robot.base_frame, robot.palm_frame, robot.camera_frame
+        far = far_from_palm(robot.tree, *frames, times)
         if far is not None:
             failed.append(Check("camera_poses", far, "mend the transform between them"))
     failed += [

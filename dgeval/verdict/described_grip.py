@@ -45,6 +45,8 @@ def described_grip(
     closed = np.abs(reached - start) > MOVED * span
     if not closed.any():
         return None
+    if (np.abs(rest - start) < MOVED * span)[closed].all():
+        return None  # the hand has opened again
     limit = np.where(reached > start, upper, lower)
     at_limit = np.abs(rest - limit) < AT_LIMIT * span
     if at_limit[closed].all():
@@ -69,14 +71,19 @@ def described_grip(
 
 def _of(samples: list[JointSample], hand: DescribedHand) -> tuple[Array, Array]:
     """Positions and efforts (n, k) of the hand's joints in the samples that hold a position; NaN
-    where one is missing.
+    where one is missing. A joint that is not recorded is where the one is that it follows, and its
+    effort is 0.
     """
     rows, efforts = [], []
     for sample in samples:
-        row = [sample.positions.get(name, np.nan) for name in hand.joints]
+        row = []
+        for joint in hand.geometry.joints:
+            source = sample.positions.get(joint.follows, np.nan)
+            row.append(sample.positions.get(joint.name, joint.multiplier * source + joint.offset))
         if not np.isnan(row).all():
             rows.append(row)
-            efforts.append([sample.efforts.get(name, np.nan) for name in hand.joints])
+            missing = 0.0 if any(n in sample.efforts for n in hand.joints) else np.nan
+            efforts.append([sample.efforts.get(name, missing) for name in hand.joints])
     shape = (-1, len(hand.joints))
     return np.array(rows).reshape(shape), np.array(efforts).reshape(shape)
 

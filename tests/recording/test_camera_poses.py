@@ -77,6 +77,15 @@ def test_a_camera_metres_from_its_palm_is_told() -> None:
     tree.add_static("hand", "far", increment(np.array([0.0, 87.0, 0.0, 0.0, 0.0, 0.0])))
     tree.add_static("base", "standing", increment(np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])))
     times = range(STEPS)
-    assert far_from_palm(tree, "hand", "near", times) is None
-    assert far_from_palm(tree, "hand", "standing", times) is None
-    assert "87 m" in str(far_from_palm(tree, "hand", "far", times))
+    assert far_from_palm(tree, "base", "hand", "near", times) is None
+    assert far_from_palm(tree, "base", "hand", "standing", times) is None
+    assert "87 m" in str(far_from_palm(tree, "base", "hand", "far", times))
+
+
+def test_a_camera_far_from_a_palm_that_stands_still_is_not_on_it() -> None:
+    """Fails where a camera on a tripod, two metres away, is called one in millimetres."""
+    tree = TransformTree()
+    for k in range(STEPS):
+        tree.add_moving(k, "base", "hand", np.array([0.3, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0]))
+    tree.add_static("base", "standing", increment(np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])))
+    assert far_from_palm(tree, "base", "hand", "standing", range(STEPS)) is None

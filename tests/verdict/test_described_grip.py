@@ -54,6 +54,27 @@ def test_what_fingers_show(rest: float, effort: float | None, holds: bool | None
     assert (None if found is None else found[0]) is holds
 
 
+def test_a_hand_that_has_opened_again_says_nothing() -> None:
+    """Fails where a success that was put down is a failure, as nothing presses at the end."""
+    samples = [
+        s if s.t_ns < 3e9 else JointSample(s.t_ns, {"jaw": OPEN, "other_jaw": OPEN}, {"jaw": 0.0})
+        for s in states(0.015, 20.0)
+    ]
+    end = [s for s in samples if s.t_ns > (END_S - 0.5) * 1e9]
+    assert described_grip(gripper(), samples, round(CLOSE_S * 1e9), end) is None
+
+
+def test_a_jaw_that_follows_need_not_be_recorded() -> None:
+    samples = [
+        JointSample(s.t_ns, {"jaw": s.positions["jaw"]}, {"jaw": s.efforts["jaw"]})
+        for s in states(0.015, 20.0)
+    ]
+    end = [s for s in samples if s.t_ns > (END_S - 0.5) * 1e9]
+    found = described_grip(gripper(), samples, round(CLOSE_S * 1e9), end)
+    assert found is not None
+    assert found[0]
+
+
 def path(rest: float) -> Array:
     """(m, 2) m, both jaws from the close on."""
     t = np.arange(1, 300) * PERIOD_S
