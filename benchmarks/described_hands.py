@@ -57,7 +57,7 @@ def judge(job: tuple[str, int, int]) -> dict[str, Any]:
     for way in WAYS:
         log = log_of_run(run, world, scenario.pipeline)
         if way == "by description":
-            log.robot.__dict__["hand_found"] = log.robot.hand_by_description()
+            log.robot.__dict__["hand_found"] = log.robot.hand_by_description
         hindsight = hindsight_of_run(run, world, log, seed)
         start = time.process_time()
         scene = Unknown("never tracked") if hindsight is None else scene_of(log, hindsight)

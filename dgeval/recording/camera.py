@@ -146,7 +146,10 @@ def _alignment(
     if model is None:
         return Alignment(colour, colour, T), None
     used = _of_picture(model, depth_topic)
-    lens = lens_of(model, used)[0] if used is model.intrinsics else None
+    is_rectified = used is not model.intrinsics
+    if not used.width * used.height:
+        used = Intrinsics(d.width, d.height, used.fx, used.fy, used.cx, used.cy)
+    lens = None if is_rectified else lens_of(model, used)[0]
     return Alignment(used, colour, T), lens
 
 
@@ -184,6 +187,7 @@ def _intrinsics(
         )
     notes = []
     used = _of_picture(model, colour_topic)
+    is_rectified = used is not model.intrinsics
     if head.width and not used.width * used.height:
         if not (0.3 < used.cx / head.width < 0.7 and 0.3 < used.cy / head.height < 0.7):
             raise UsageError(
@@ -194,7 +198,6 @@ def _intrinsics(
             )
         notes.append(f"{info_topic} states no size: taken for that of {colour_topic}")
         used = Intrinsics(head.width, head.height, used.fx, used.fy, used.cx, used.cy)
-        return used, notes, None
     if head.width and (used.width, used.height) != (head.width, head.height):
         raise UsageError(
             f"{colour_topic} is {head.width}x{head.height}, and its camera_info {info_topic} is of "
@@ -203,7 +206,7 @@ def _intrinsics(
             _other_size(head, used),
         )
     lens = None
-    if used is model.intrinsics:
+    if not is_rectified:
         lens, note = lens_of(model, used)
         notes += [note] if note else []
     if scan.camera_changes.get(info_topic or ""):

@@ -177,7 +177,8 @@ def failed_checks(
                 mend += f"; {', '.join(unread)} can't be read" if unread else ""
             failed.append(Check("poses", f"{what} frames", mend))
     if robot.base_frame is not None and robot.palm_frame is not None:
-        times = [p.t_ns for p in window.pairs]
+        step = max(1, len(window.pairs) // SAMPLED)
+        times = [p.t_ns for p in window.pairs[::step]]
         frames = robot.base_frame, robot.palm_frame, robot.camera_frame
         far = far_from_palm(robot.tree, *frames, times)
         if far is not None:

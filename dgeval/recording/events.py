@@ -37,8 +37,7 @@ class Events:
         out: list[tuple[Event, object]] = []
         for event in self.entries:
             said = [event.fields[k] for k in LABEL_KEYS if k in event.fields]
-            # whatever the event is called, a word on how it ended is one
-            if said or event.kind == LABEL_EVENT:
+            if is_label(event):
                 out.append((event, said[0] if said else None))
         return out
 
@@ -54,6 +53,11 @@ class Events:
             if event.kind == TRIAL_START_EVENT and isinstance(listed, list):
                 out.extend(str(note) for note in listed)
         return out
+
+
+def is_label(event: Event) -> bool:
+    """Whether an event says how the trial ended, whatever it is called."""
+    return event.kind == LABEL_EVENT or any(key in event.fields for key in LABEL_KEYS)
 
 
 def events_within(
@@ -73,8 +77,7 @@ def events_within(
     starts += [] if next_ns is None else [next_ns]
 
     def belongs(event: Event) -> bool:
-        is_label = event.kind == LABEL_EVENT or any(key in event.fields for key in LABEL_KEYS)
-        is_late_label = is_label and (not starts or event.t_ns < min(starts))
+        is_late_label = is_label(event) and (not starts or event.t_ns < min(starts))
         return start_ns <= event.t_ns and (event.t_ns <= last_ns or is_late_label)
 
     return Events(tuple(e for e in events if belongs(e)))

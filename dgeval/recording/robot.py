@@ -115,8 +115,9 @@ class RobotStates:
         """
         if self.description is None:
             return "no robot description: the hand's geometry is not known"
-        return known_hand(self.description)[0] or self.hand_by_description()
+        return known_hand(self.description)[0] or self.hand_by_description
 
+    @cached_property
     def hand_by_description(self) -> Hand | str:
         """The hand as its description alone has it; or in words why there is none."""
         description, frame, track = self.description, self.palm_frame, self.joints

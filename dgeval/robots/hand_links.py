@@ -46,12 +46,7 @@ def hand_links(description: Description, palm: str, recorded: Collection[str]) -
     group = _fixed_group(description, palm)
     chains = _chains(description, group)
     if not chains:
-        # a frame on the flange: the hand is beyond the wrist's last joint
-        below = [link for link in description.branches() if link in description.below(group[0])]
-        groups = [_fixed_group(description, link) for link in below]
-        if len(groups) != 1:
-            return f"the description has no hand that moves on {palm!r}"
-        group, chains = groups[0], _chains(description, groups[0])
+        return f"the description has no hand that moves on {palm!r}"
     # beyond the wrist, or on one of several arms: what reaches far is no finger
     long = tuple(c for c in chains if _reach(description, c) > LONGEST_FINGER_M)
     arms = chains if len(chains) == 1 else long

@@ -51,7 +51,7 @@ def described_grip(
     at_limit = np.abs(rest - limit) < AT_LIMIT * span
     if at_limit[closed].all():
         return False, "the fingers have closed as far as they go, with nothing between them"
-    pressing = _pressing(before, way, last)
+    pressing = _drives_press(before, way, last)
     if pressing is None:
         return None
     presses = closed & ~at_limit & pressing
@@ -95,7 +95,7 @@ def _farthest(positions: Array, start: Array) -> Array:
     return np.asarray(positions[k, np.arange(positions.shape[1])])
 
 
-def _pressing(
+def _drives_press(
     before: tuple[Array, Array], way: tuple[Array, Array], last: tuple[Array, Array]
 ) -> np.ndarray | None:
     """(k,) whether each joint's drive gives more at the end than it gave on its way; None where

@@ -129,7 +129,7 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
     described = log.robot.description is not None
     shown = None
     if described:
-        geometry = log.robot.hand_by_description()
+        geometry = log.robot.hand_by_description
         if isinstance(geometry, DescribedHand) and log.close_ns is not None:
             shown = described_grip(geometry, list(log.hand_samples), log.close_ns, samples)
         if isinstance(log.robot.hand, DescribedHand):

@@ -467,6 +467,26 @@ def test_intrinsics_without_a_size_are_those_of_the_picture(
     assert any("states no size" in note for note in trial.notes)
 
 
+def test_intrinsics_without_a_size_keep_their_lens(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where the points keep a distortion that camera_info states."""
+
+    def bent(info: Any) -> None:
+        info.d = np.array([-0.2, 0.05, 0.0, 0.0, 0.0])
+
+    def bent_and_unsized(info: Any) -> None:
+        bent(info)
+        info.width = info.height = 0
+
+    lenses = []
+    for change in (bent, bent_and_unsized):
+        path = write(tmp_path / f"{change.__name__}.mcap", with_info(messages, change))
+        lenses.append(opened(path).reader.camera.lens)
+    assert lenses[0] is not None
+    assert lenses[1] is not None
+    assert lenses[0].matrix == lenses[1].matrix
+    assert lenses[0].coefficients == lenses[1].coefficients
+
+
 def test_intrinsics_of_a_turned_picture_are_not_stretched(
     tmp_path: Path, messages: list[Message]
 ) -> None:
