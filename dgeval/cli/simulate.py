@@ -15,6 +15,8 @@ Examples:
   dgeval simulate static --trials 4 --meshes scans/ --seed 7
   dgeval simulate my.toml --no-images --blame      (truth only, no recordings)
   dgeval simulate datasets/failures.toml           (the recordings a manifest was made from)
+  dgeval simulate failures --hand my_gripper.toml --stranger
+                                                   (another hand, logged as its robot would)
 """
 
 
@@ -48,6 +50,20 @@ def simulate(
         bool,
         typer.Option("--blame", help="Find the injected fault whose removal restores success."),
     ] = False,
+    hand: Annotated[
+        Path | None,
+        typer.Option(
+            help="A hand's URDF, or a TOML that says more of it (docs/hands.md), on the same arm."
+        ),
+    ] = None,
+    stranger: Annotated[
+        bool,
+        typer.Option(
+            "--stranger",
+            help="Record as another robot would: no topic of dgeval's, into OUT/recordings; the "
+            "truth is in OUT/truth.",
+        ),
+    ] = False,
     images: Annotated[
         bool,
         typer.Option(
@@ -62,12 +78,21 @@ def simulate(
     a manifest."""
     from dgeval.errors import UsageError
     from dgeval.simulation.campaign import Campaign, platform_name, run_campaign
-    from dgeval.simulation.scenario import load_manifest, load_scenario
+    from dgeval.simulation.imported_hand import ImportedHand
+    from dgeval.simulation.scenario import load_manifest, load_scenario, with_hand
 
     if format_ not in ("mcap", "bag", "db3"):
         raise UsageError(f"--format {format_!r}", hint="mcap, bag or db3")
     manifest = load_manifest(Path(scenario)) if scenario.endswith(".toml") else None
     loaded = load_scenario(manifest.scenario if manifest else scenario)
+    if hand is not None:
+        loaded = with_hand(loaded, hand)
+    gripper = loaded.gripper
+    given = gripper.sha256 if isinstance(gripper, ImportedHand) else None
+    if manifest is not None and manifest.hand_sha256 != given:
+        raise UsageError(
+            "the manifest was made with another hand", hint="give its file with --hand"
+        )
     folder = out or Path("runs") / loaded.name
     campaign = Campaign(
         loaded,
@@ -79,6 +104,7 @@ def simulate(
         tuple(manifest.indices) if manifest else None,
         images,
         format_,
+        stranger,
     )
     with _progress() as progress:
         pairs = run_campaign(campaign, jobs, progress)
@@ -100,7 +126,10 @@ def simulate(
             }
         )
         raise typer.Exit(3 if differences and same_platform else 0)
-    _summary(pairs, folder, loaded.name, images)
+    _summary(pairs, campaign)
+    if isinstance(gripper, ImportedHand) and images:
+        named = ", ".join(f'"{folder}"' for folder in gripper.mesh_dirs)
+        typer.echo(f"its meshes: --set 'calibration.mesh_dirs=[{named}]'")
     for line in differences:
         typer.echo(
             f"{'error' if same_platform else 'warning (another platform)'}: {line}", err=True
@@ -108,20 +137,22 @@ def simulate(
     raise typer.Exit(3 if differences and same_platform else 0)
 
 
-def _summary(pairs: Any, folder: Path, name: str, images: bool) -> None:
+def _summary(pairs: Any, campaign: Any) -> None:
     kinds: dict[str, int] = {}
     for truth, _ in pairs:
-        kind = truth["verdict"]["failure_class"] or "success"
+        kind = truth["verdict"]["failure_class"] or truth["verdict"]["outcome"]
         kinds[kind] = kinds.get(kind, 0) + 1
     typer.echo(
         f"{len(pairs)} trials: " + ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
     )
-    if images:
+    if campaign.images:
         size = sum(r["bytes"] for _, r in pairs if r) / 1e6
-        typer.echo(f"recordings: {folder} ({size:.0f} MB)")
-        typer.echo(f"next: dgeval replay {folder / (name + '.toml')} --out {folder}/replay")
-    else:
-        typer.echo(f"truth: {folder}/truth")
+        name = "" if campaign.stranger else f"{campaign.scenario.name}.toml"
+        typer.echo(f"recordings: {campaign.recordings} ({size:.0f} MB)")
+        replayed = f"dgeval replay {campaign.recordings / name} --out {campaign.out}/replay"
+        typer.echo(f"next: {replayed}")
+    if campaign.stranger or not campaign.images:
+        typer.echo(f"truth: {campaign.out}/truth")
 
 
 def _progress() -> Any:
@@ -135,11 +166,11 @@ def _progress() -> Any:
         if not sys.stderr.isatty():
 
             def line(phase: str, done: int, total: int, result: dict[str, Any]) -> None:
-                outcome = (
-                    f": {result['verdict']['failure_class'] or 'success'}"
-                    if phase == "simulate"
-                    else ""
-                )
+                outcome = ""
+                if phase == "simulate":
+                    outcome = f": {result['verdict']['failure_class'] or 'success'}"
+                elif phase == "grasps":
+                    outcome = f": {result['count']}"
                 typer.echo(f"{phase} {done}/{total} {result['id']}{outcome}", err=True)
 
             yield line

@@ -20,6 +20,9 @@ TRUTH_PREFIX: Final = "/truth/"
 ROBOT_DESCRIPTION: Final = "/robot_description"
 """Latched topic with the robot's URDF, std_msgs/String; in any namespace."""
 
+OWN_PREFIXES: Final = ("/dgeval/", "/truth/")
+"""Topics that begin so are dgeval's own; no other robot has them."""
+
 EVENTS_TOPIC: Final = "/dgeval/events"
 """std_msgs/String: one JSON object {"event": kind, ...} per message."""
 

@@ -98,29 +98,39 @@ class Hand:
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownHand(Hand):
-    """A hand that dgeval also simulates, draws and plans with.
+class SimulatedHand(Hand):
+    """A hand that dgeval simulates trials with. The z axis of its base points along the fingers.
 
-    grasp_network: the network whose weights are for this hand. T_hand_camera: the colour camera as
-    calibrated. opening m: between two opposite pads, of a hand that has them.
+    T_hand_camera: the colour camera as calibrated. open (k,): drives before a grasp is chosen.
+    drive_speed: per second. random_preshape: drives (k,) before a close, to search grasps with.
+    links: the hand's links and joints below BASE as URDF text; palm_solids: the solids of BASE.
+    palm_frame: of these links, the one that is the frame of grasps; None where none is, and a
+    recording gets one.
+    """
 
-    open (k,): drives before a grasp is chosen. drive_limits (2, k): lower and upper. drive_speed:
-    per second. random_preshape: drives (k,) before a close, to search grasps with. solids: see
-    `Solids`, from drives (n, k). links: the hand's links and joints below BASE as URDF text;
-    palm_solids: the solids of BASE. link_points: n points (n, 3) m on the open hand's links, frame
-    of grasps, for a network that takes them.
+    T_hand_camera: Array
+    open: Array
+    drive_speed: float
+    random_preshape: Callable[[np.random.Generator], Array]
+    links: Callable[[], list[str]]
+    palm_solids: str = ""
+    palm_frame: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownHand(SimulatedHand):
+    """A hand that dgeval also draws and plans with.
+
+    grasp_network: the network whose weights are for this hand. opening m: between two opposite
+    pads, of a hand that has them. drive_limits (2, k): lower and upper. solids: see `Solids`, from
+    drives (n, k). link_points: n points (n, 3) m on the open hand's links, frame of grasps, for a
+    network that takes them.
     """
 
     grip: Grip
     grasp_network: str
-    T_hand_camera: Array
-    open: Array
     drive_limits: Array
-    drive_speed: float
     solids: Callable[[Array], Solids]
-    links: Callable[[], list[str]]
-    palm_solids: str
-    random_preshape: Callable[[np.random.Generator], Array]
     link_points: Callable[[int, np.random.Generator], Array] | None = None
     opening: float | None = None
 

@@ -13,14 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
 from dgeval.robots import diana7 as arm
-from dgeval.robots.hand import BASE, KnownHand
+from dgeval.robots.hand import BASE, SimulatedHand
 
 Numbers = tuple[float, ...]
 CAMERA_FRAME = "camera_color_optical_frame"  # the colour camera's frame in recordings
 
 
-def robot_urdf(T_hand_camera: Array, hand: KnownHand) -> str:
-    """URDF text of arm, hand with its solids, `palm_link` (the frame of grasps) and camera.
+def robot_urdf(T_hand_camera: Array, hand: SimulatedHand) -> str:
+    """URDF text of arm, hand with its solids, and camera; `palm_link` is the frame of grasps where
+    the hand has none of its own.
 
     T_hand_camera (4, 4): the camera as calibrated.
     """
@@ -32,7 +33,8 @@ def robot_urdf(T_hand_camera: Array, hand: KnownHand) -> str:
         parts += [link(name), joint(arm.JOINT_NAMES[k], parent, name, xyz, rpy, limits)]
         parent = name
     parts += [link(BASE, hand.palm_solids), fixed("hand_mount", parent, BASE, arm.T_flange_hand)]
-    parts += [link("palm_link"), fixed("palm_mount", BASE, "palm_link", hand.T_hand_palm)]
+    if hand.palm_frame is None:
+        parts += [link("palm_link"), fixed("palm_mount", BASE, "palm_link", hand.T_hand_palm)]
     parts += [link(CAMERA_FRAME), fixed("hand_eye", BASE, CAMERA_FRAME, T_hand_camera)]
     parts += hand.links()
     return f'<robot name="dgeval_arm_hand">{"".join(parts)}</robot>'

@@ -16,17 +16,20 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from dgeval import __version__
 from dgeval.determinism import fingerprint, limit_threads, set_thread_variables
+from dgeval.errors import UsageError
 from dgeval.planning.grasps import networks_of
 from dgeval.recording.containers.container import sha256_of
 from dgeval.simulation.blame import blame
 from dgeval.simulation.grasps import KnownGrasp, known_grasps
+from dgeval.simulation.hand_grasps import kept_grasps
+from dgeval.simulation.imported_hand import ImportedHand, read_hand
 from dgeval.simulation.meshes import load_meshes
 from dgeval.simulation.perception import ModelledPerception, depth_profile, true_cameras
 from dgeval.simulation.proposals import FFHNetGrasps, GraspSource, KnownGrasps
@@ -55,7 +58,8 @@ class Campaign:
 
     indices: of the trials; None: the first `trials` of the scenario, or as many as its choice
     needs. meshes: folder of users' meshes. blame: also find the fault to blame. images: also
-    record. format: of the recordings, mcap, bag or db3.
+    record. format: of the recordings, mcap, bag or db3. stranger: record as a robot does that has
+    never heard of dgeval, into OUT/recordings.
     """
 
     scenario: Scenario
@@ -67,6 +71,12 @@ class Campaign:
     indices: tuple[int, ...] | None = None
     images: bool = True
     format: str = "mcap"
+    stranger: bool = False
+
+    @property
+    def recordings(self) -> Path:
+        """The folder of the recordings."""
+        return self.out / "recordings" if self.stranger else self.out
 
     def _meshes_sha256(self) -> str | None:
         """SHA-256 of the meshes' content: a file changed in place makes other trials."""
@@ -91,7 +101,7 @@ class Campaign:
         part of it.
         """
         scenario = self.scenario.model_dump(
-            mode="json", exclude={"choose", "max_attempts", "trials"}
+            mode="json", exclude={"choose", "max_attempts", "trials", "hand"}
         )
         inputs = [
             __version__,
@@ -103,6 +113,10 @@ class Campaign:
         ]
         if self.format != "mcap":
             inputs.append(self.format)
+        if self.stranger:
+            inputs.append("stranger")
+        if isinstance(hand := self.scenario.gripper, ImportedHand):
+            inputs.append(hand.sha256)
         return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
 
 
@@ -116,6 +130,29 @@ def _objects(meshes: Path | None, vfas: bool) -> dict[str, ObjectModel]:
 @cache
 def _known(meshes: Path | None, name: str) -> list[KnownGrasp]:
     return known_grasps(_objects(meshes, False)[name])
+
+
+@cache
+def _known_of_hand(hand: Path, meshes: Path | None, name: str, folder: Path) -> list[KnownGrasp]:
+    return kept_grasps(read_hand(hand), _objects(meshes, False)[name], folder)
+
+
+def find_grasps(campaign: Campaign, index: int) -> dict[str, Any]:
+    """Find the grasps of the scenario's own hand for one of its objects, and how many there are."""
+    limit_threads()
+    name = _names(campaign)[index]
+    return {"id": name, "count": len(_grasps(campaign, name))}
+
+
+def _names(campaign: Campaign) -> tuple[str, ...]:
+    return campaign.scenario.objects or tuple(_objects(campaign.meshes, campaign.scenario.vfas))
+
+
+def _grasps(campaign: Campaign, name: str) -> list[KnownGrasp]:
+    hand = campaign.scenario.hand
+    if hand is None:
+        return _known(campaign.meshes, name)
+    return _known_of_hand(Path(hand), campaign.meshes, name, campaign.out / "grasps")
 
 
 def plan_of(campaign: Campaign, index: int) -> Plan:
@@ -139,7 +176,7 @@ def grasps_of(campaign: Campaign, plan: Plan) -> GraspSource:
     """Where the scenario's grasps come from."""
     scenario = campaign.scenario
     if scenario.grasps == "analytic":
-        return KnownGrasps(_known(campaign.meshes, plan.object), scenario.evaluator)
+        return KnownGrasps(_grasps(campaign, plan.object), scenario.evaluator)
     return FFHNetGrasps(
         networks_of(scenario.pipeline.grasps), scenario.pipeline.grasps, plan.seed, plan.index
     )
@@ -256,7 +293,7 @@ def record_trial(campaign: Campaign, index: int) -> dict[str, Any]:
 
 def _recorded(campaign: Campaign, plan: Plan) -> dict[str, Any] | None:
     done = _finished(campaign.out / "recorded" / f"{plan.id}.json", campaign.key())
-    return done if (campaign.out / recording_name(campaign, plan.id)).exists() else None
+    return done if (campaign.recordings / recording_name(campaign, plan.id)).exists() else None
 
 
 def _record(
@@ -271,12 +308,14 @@ def _record(
     start = time.perf_counter()
     seconds = len(run.ticks) * CONTROL_S + AFTER_CLOSE_S
     twin = twin_path(world.target, plan.speed, plan.x, plan.y, plan.yaw, seconds, world.setting)
-    file = campaign.out / recording_name(campaign, plan.id)
+    file = campaign.recordings / recording_name(campaign, plan.id)
     part = campaign.out / "part" / file.name
     if part.is_dir():
         shutil.rmtree(part)
     part.parent.mkdir(exist_ok=True)
-    recorded = write_recording(part, run, verdict, twin, campaign.scenario, world, renderer, kept)
+    recorded = write_recording(
+        part, run, verdict, twin, campaign.scenario, world, renderer, kept, campaign.stranger
+    )
     if file.is_dir():
         shutil.rmtree(file)
     part.rename(file)
@@ -304,8 +343,8 @@ def run_campaign(
 
     progress is called as progress(phase, done, total, result) after each trial.
     """
-    for folder in ("truth", "recorded"):
-        (campaign.out / folder).mkdir(parents=True, exist_ok=True)
+    for folder in (campaign.out / "truth", campaign.out / "recorded", campaign.recordings):
+        folder.mkdir(parents=True, exist_ok=True)
     proved: list[dict[str, Any]] = []
     quota: dict[str, int] = {}
     if campaign.indices is None and campaign.scenario.choose is not None:
@@ -319,6 +358,16 @@ def run_campaign(
         blocks = iter([tuple(range(campaign.trials))])
     chosen: list[dict[str, Any]] = []
     with _pool(jobs) as over:
+        if campaign.scenario.hand is not None:
+            names = _names(campaign)
+            held = []
+            for k, found in enumerate(over(find_grasps, campaign, tuple(range(len(names))))):
+                progress("grasps", k + 1, len(names), found)
+                held += [found["id"]] if found["count"] else []
+            if not held:
+                raise UsageError(f"{campaign.scenario.gripper.name} holds none of the objects")
+            scenario = campaign.scenario.model_copy(update={"objects": tuple(held)})
+            campaign = replace(campaign, scenario=scenario)
         for block in blocks:
             for k, result in enumerate(over(prove_trial, campaign, block)):
                 proved.append(result)
@@ -339,7 +388,8 @@ def run_campaign(
                 progress("record", k + 1, len(chosen), result)
     shutil.rmtree(campaign.out / "part", ignore_errors=True)
     pairs = list(zip(chosen, recorded, strict=True))
-    write_manifest(campaign, pairs)
+    if not campaign.stranger:
+        write_manifest(campaign, pairs)
     _write(campaign.out / "simulated.json", {"simulated": proved})
     return pairs
 
@@ -409,7 +459,10 @@ def write_manifest(
         "[simulate] # what it was made from: `dgeval simulate` makes it again",
     ]
     lines += [f'scenario = "{campaign.scenario.name}"', f"seed = {campaign.seed}"]
-    lines += [f"indices = {[t['index'] for t, _ in pairs]}", f'platform = "{platform_name()}"', ""]
+    lines += [f"indices = {[t['index'] for t, _ in pairs]}", f'platform = "{platform_name()}"']
+    if isinstance(hand := campaign.scenario.gripper, ImportedHand):
+        lines.append(f'hand_sha256 = "{hand.sha256}"')
+    lines.append("")
     for truth, recording in pairs:
         verdict = truth["verdict"]
         lines += [

@@ -17,13 +17,14 @@ from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, matrix_from_pose
-from dgeval.robots.hand import hand_for
+from dgeval.robots.hand import SimulatedHand, hand_for
 from dgeval.robots.mjcf import quat_wxyz
 from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle
 from dgeval.worlds.objects import ObjectModel, at
 from dgeval.worlds.scene import build
 
 HAND = hand_for("ffhnet")
+AROUND_M = 0.006  # m, 1 sigma of where any hand's grasp centre comes; ours
 REPETITIONS = 6  # displaced tries of a grasp that lifted; ours
 SHAKE = 2 * 2 * 9.81 / (2 * np.pi * 5.0) ** 2  # m, travel of a shake of 2 g at 5 Hz; ours
 
@@ -62,12 +63,8 @@ def known_grasps(target: ObjectModel) -> list[KnownGrasp]:
 class FlyingHand(HandOnHandle):
     """A hand on a handle over an object at rest at x 0.5 m, y 0 m."""
 
-    def __init__(self, target: ObjectModel) -> None:
-        super().__init__(build(target, robot="hand", gripper=HAND), HAND, target.rest_height())
-        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-        self._capsules = np.array(
-            [g for g in self.hand_geoms if self.model.geom(g).type[0] == capsule]
-        )
+    def __init__(self, target: ObjectModel, hand: SimulatedHand = HAND) -> None:
+        super().__init__(build(target, robot="hand", gripper=hand), hand, target.rest_height())
 
     def put(self, T_base_hand: Array, preshape: Array) -> None:
         """Put the hand at a pose (4, 4) with preshaped fingers (15,) rad, and the
@@ -81,7 +78,8 @@ class FlyingHand(HandOnHandle):
 
     def put_palm(self, T_object_palm: Array, preshape: Array) -> None:
         """As `put`, with a palm pose in the object's frame."""
-        self.put(at(0.5, 0.0, self.rest) @ T_object_palm @ invert(HAND.T_hand_palm), preshape)
+        T_hand_palm = self.gripper.T_hand_palm
+        self.put(at(0.5, 0.0, self.rest) @ T_object_palm @ invert(T_hand_palm), preshape)
 
     def touches(self) -> bool:
         """Whether the hand meets anything."""
@@ -89,11 +87,17 @@ class FlyingHand(HandOnHandle):
         return touch.object or touch.other
 
     def lowest(self) -> float:
-        """Height m of the lowest point of the hand's capsules over the belt."""
-        places = self.data.geom_xpos[self._capsules]
-        axes = self.data.geom_xmat[self._capsules].reshape(-1, 3, 3)[:, :, 2]
-        radius, half = self.model.geom_size[self._capsules, :2].T
-        return float((places[:, 2] - np.abs(axes[:, 2]) * half - radius).min())
+        """Height m over the belt of the hand's lowest point; of a solid that is no capsule, that of
+        the box around it.
+        """
+        m, g = self.model, self.hand_geoms
+        up = self.data.geom_xmat[g].reshape(-1, 3, 3)[:, 2]
+        centre, half = np.split(m.geom_aabb[g], 2, axis=1)
+        reach = (np.abs(up) * half).sum(axis=1)
+        capsule = m.geom_type[g] == mujoco.mjtGeom.mjGEOM_CAPSULE
+        radius, length = m.geom_size[g, 0], m.geom_size[g, 1]
+        reach[capsule] = (np.abs(up[:, 2]) * length + radius)[capsule]
+        return float((self.data.geom_xpos[g, 2] + (up * centre).sum(axis=1) - reach).min())
 
     def lifts(self, preshape: Array, shake: bool = False) -> bool:
         """Whether a close and lift holds the object.
@@ -103,8 +107,14 @@ class FlyingHand(HandOnHandle):
         return CloseAndLift(self, preshape, np.zeros(3), SHAKE if shake else 0.0).finish()
 
 
-def candidate(rng: np.random.Generator, target: ObjectModel) -> tuple[Array, Array]:
-    """A random T_base_hand over the object at rest at (0.5, 0) m, and a preshape (15,) rad."""
+def candidate(
+    rng: np.random.Generator, target: ObjectModel, hand: SimulatedHand = HAND
+) -> tuple[Array, Array]:
+    """A random T_base_hand over the object at rest at (0.5, 0) m, and drives (k,) before the close.
+
+    Where the object comes to lie in the hand: of the five-finger hand, where most grasps were
+    found; of any other near its grasp centre.
+    """
     extent = target.extent()
     tilt, heading, roll = (
         np.radians(40) * np.sqrt(rng.random()),
@@ -117,9 +127,12 @@ def candidate(rng: np.random.Generator, target: ObjectModel) -> tuple[Array, Arr
         @ down
     )
     R = R @ Rotation.from_euler("z", roll).as_matrix()
-    inside = np.array(
-        [rng.uniform(0.025, 0.075), rng.uniform(-0.005, 0.03), rng.uniform(0.13, 0.20)]
-    )
+    if hand is HAND:
+        inside = np.array(
+            [rng.uniform(0.025, 0.075), rng.uniform(-0.005, 0.03), rng.uniform(0.13, 0.20)]
+        )
+    else:
+        inside = hand.centre + rng.normal(0, AROUND_M, 3)
     top = max(target.rest_height() - 0.035, 0.0)  # tall objects are taken by their upper part
     centre = (
         np.array([0.5, 0, target.rest_height() + rng.uniform(-0.5, 1.0) * top])
@@ -127,20 +140,26 @@ def candidate(rng: np.random.Generator, target: ObjectModel) -> tuple[Array, Arr
     )
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, centre - R @ inside
-    return T, HAND.random_preshape(rng)
+    return T, hand.random_preshape(rng)
 
 
-def search(target: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list[KnownGrasp]:
+def search(
+    target: ObjectModel,
+    n: int,
+    seed: int,
+    tries: int = 100_000,
+    hand: SimulatedHand = HAND,
+) -> list[KnownGrasp]:
     """Up to n grasps that lift the object, with a free approach, and survive most repetitions.
 
     seed, tries: of the random candidates.
     """
-    world = FlyingHand(target)
+    world = FlyingHand(target, hand)
     kept: list[KnownGrasp] = []
     T_object_base = invert(at(0.5, 0.0, target.rest_height()))
     for k in range(tries):
         rng = generator(seed, f"grasps/{target.name}", k)
-        T, preshape = candidate(rng, target)
+        T, preshape = candidate(rng, target, hand)
         world.put(T, preshape)
         # raise fingers that would reach into the belt
         T[2, 3] += min(max(0.003 - world.lowest(), 0.0), 0.05)
@@ -158,7 +177,7 @@ def search(target: ObjectModel, n: int, seed: int, tries: int = 100_000) -> list
             lifted += not world.touches() and world.lifts(preshape)
         if lifted / REPETITIONS >= 0.66:
             kept.append(
-                KnownGrasp(T_object_base @ T @ HAND.T_hand_palm, preshape, lifted / REPETITIONS)
+                KnownGrasp(T_object_base @ T @ hand.T_hand_palm, preshape, lifted / REPETITIONS)
             )
             if len(kept) == n:
                 break

@@ -27,6 +27,7 @@ from dgeval.recording.contract import (
     MASK_TOPIC,
     MODEL_TOPIC,
     NOTES_KEY,
+    OWN_PREFIXES,
     ROBOT_DESCRIPTION,
     SCORE_TOPIC,
     SEED_TOPIC,
@@ -113,29 +114,36 @@ def write_recording(
     world: World,
     renderer: Renderer,
     kept: dict[int, Images],
+    stranger: bool = False,
 ) -> Recorded:
     """Write everything in time order. `world` and `renderer` have the run's cameras.
 
-    kept: images drawn in the loop, by frame; the others are drawn now. verdict: what
-    `verdict_document` gave. twin: the undisturbed path, rows per control period.
+    stranger: nothing is written that dgeval alone knows. kept: images drawn in the loop, by frame;
+    the others are drawn now. verdict: what `verdict_document` gave. twin: the undisturbed path,
+    rows per control period.
     """
     box: tuple[float, float, float, float] | None = None
     camera = renderer.cameras[0].intrinsics
     by_tick = {f.tick: f for f in run.frames}
     first: Array | None = None
     with open_writer(path) as writer:
-        writer.write(
+
+        def put(topic: str, t_ns: int, value: Any) -> None:
+            if not (stranger and topic.startswith(OWN_PREFIXES)):
+                writer.write(topic, t_ns, value)
+
+        put(
             ROBOT_DESCRIPTION,
             START_NS,
             text(robot_urdf(world.gripper.T_hand_camera, world.gripper)),
         )
         if run.T_base_seed is not None:
-            writer.write(SEED_TOPIC, START_NS, pose_stamped(START_NS, BASE, run.T_base_seed))
+            put(SEED_TOPIC, START_NS, pose_stamped(START_NS, BASE, run.T_base_seed))
         events = _events(run, scenario)
         for k, entries in _states(run, twin, world):
             t_ns = _at(k)
             for topic, value in [*events.pop(k, []), *entries]:
-                writer.write(topic, t_ns, value)
+                put(topic, t_ns, value)
             belief = by_tick.get(k)
             if belief is None:
                 continue
@@ -146,14 +154,12 @@ def write_recording(
                 if belief.index in kept
                 else _draw(renderer, belief, scenario.camera.jpeg_quality)
             )
-            writer.write(
-                "/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera)
-            )
-            writer.write(COLOUR_TOPIC, t_ns, jpeg_file_message(t_ns, CAMERA_FRAME, images.jpeg))
+            put("/camera/color/camera_info", t_ns, camera_info_message(t_ns, CAMERA_FRAME, camera))
+            put(COLOUR_TOPIC, t_ns, jpeg_file_message(t_ns, CAMERA_FRAME, images.jpeg))
             depth = compressed_depth_message(t_ns, CAMERA_FRAME, images.depth, scenario.depth_level)
-            writer.write(DEPTH_TOPIC, t_ns, depth)
+            put(DEPTH_TOPIC, t_ns, depth)
             if images.mask is not None:
-                writer.write(
+                put(
                     MASK_TOPIC,
                     t_ns,
                     png_message(t_ns, CAMERA_FRAME, images.mask.astype(np.uint8) * 255),
@@ -173,21 +179,21 @@ def write_recording(
                     cloud = transform(first, points)
                 T_camera_model = T_camera_object @ invert(first)
             if T_camera_model is not None:
-                writer.write(
+                put(
                     TARGET_TOPIC,
                     t_ns,
                     pose_stamped(t_ns, CAMERA_FRAME, T_camera_model),
                 )
             if cloud is not None:
-                writer.write(MODEL_TOPIC, t_ns, cloud_message(t_ns, CAMERA_FRAME, cloud))
+                put(MODEL_TOPIC, t_ns, cloud_message(t_ns, CAMERA_FRAME, cloud))
             if belief.velocity is not None:
                 twist = np.concatenate([belief.velocity, np.zeros(3)])
-                writer.write(VELOCITY_TOPIC, t_ns, twist_stamped(t_ns, BASE, twist))
+                put(VELOCITY_TOPIC, t_ns, twist_stamped(t_ns, BASE, twist))
             for topic, value in _choice(run, k, t_ns, world.gripper.drives):
-                writer.write(topic, t_ns, value)
+                put(topic, t_ns, value)
         end = _at(len(run.ticks))
-        writer.write(TRUTH_VERDICT_TOPIC, end, text(json.dumps(verdict, sort_keys=True)))
-        writer.write(EVENTS_TOPIC, end, text(json.dumps({EVENT_KEY: TRIAL_END_EVENT})))
+        put(TRUTH_VERDICT_TOPIC, end, text(json.dumps(verdict, sort_keys=True)))
+        put(EVENTS_TOPIC, end, text(json.dumps({EVENT_KEY: TRIAL_END_EVENT})))
     return Recorded(len(run.frames), box)
 
 
@@ -224,6 +230,7 @@ def verdict_document(
         "object": plan.object,
         "speed": plan.nominal_speed,
         "yaw": plan.yaw,
+        **({} if scenario.hand is None else {"hand": scenario.gripper.name}),
         "seed": plan.seed,
         "index": plan.index,
         "gains": scenario.pipeline.servo.gains,

@@ -14,8 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from dgeval.config import Config, read_toml, validated
 from dgeval.determinism import generator
 from dgeval.errors import Place, UsageError
-from dgeval.robots.hand import KnownHand, hand_named
+from dgeval.robots.hand import SimulatedHand, hand_named
 from dgeval.simulation.faults import Faults, draw
+from dgeval.simulation.imported_hand import read_hand
 from dgeval.simulation.setting import Turn
 from dgeval.worlds.objects import ObjectModel
 from dgeval.worlds.presenter import Presenter, draw_presenter
@@ -130,6 +131,9 @@ class Scenario(_Section):
         description="in the loop: truth with errors, "
         "or the pipeline's own stages on rendered images",
     )
+    hand: str | None = Field(
+        None, description="a hand's .urdf or .toml file, in place of the scenario's own hand"
+    )
     grasps: Literal["ffhnet", "analytic"] = Field(
         "ffhnet",
         description="in the loop: the shipped FFHNet on the model cloud, "
@@ -157,7 +161,9 @@ class Scenario(_Section):
         return self.pipeline.pipeline == "vfas"
 
     @property
-    def gripper(self) -> KnownHand:
+    def gripper(self) -> SimulatedHand:
+        if self.hand is not None:
+            return read_hand(Path(self.hand))
         return hand_named("parallel_jaw" if self.vfas else "dlr_hit_hand")
 
 
@@ -224,7 +230,8 @@ def load_scenario(name: str) -> Scenario:
 class MadeFrom:
     """What a manifest's recordings were simulated from.
 
-    sha256: of the recordings by trial, on the platform that it names.
+    sha256: of the recordings by trial, on the platform that it names. hand_sha256: of the user's
+    hand that they were made with.
     """
 
     scenario: str
@@ -232,6 +239,7 @@ class MadeFrom:
     indices: tuple[int, ...]
     platform: str
     sha256: dict[str, str]
+    hand_sha256: str | None = None
 
 
 def load_manifest(path: Path) -> MadeFrom | None:
@@ -243,11 +251,25 @@ def load_manifest(path: Path) -> MadeFrom | None:
     try:
         hashes = {str(t["id"]): str(t["sha256"]) for t in values.get("trial", []) if "sha256" in t}
         name, indices = str(section["scenario"]), tuple(int(i) for i in section["indices"])
-        return MadeFrom(name, int(section["seed"]), indices, str(section["platform"]), hashes)
+        platform, hand = str(section["platform"]), section.get("hand_sha256")
+        return MadeFrom(name, int(section["seed"]), indices, platform, hashes, hand)
     except (KeyError, TypeError, ValueError) as error:
         raise UsageError(
             f"manifest: [simulate] is not complete ({error})", Place(str(path))
         ) from error
+
+
+def with_hand(scenario: Scenario, hand: Path) -> Scenario:
+    """A scenario with a user's hand. Grasps are found for it in physics: no network knows it.
+
+    UsageError for a scenario of the gripper that VFAS-Grasp's planner is for.
+    """
+    if scenario.vfas:
+        raise UsageError(
+            f"the scenario {scenario.name!r} is of VFAS-Grasp's own gripper",
+            hint="a hand goes with conveyor, handover, failures, static",
+        )
+    return scenario.model_copy(update={"hand": str(hand), "grasps": "analytic"})
 
 
 def plan_trial(scenario: Scenario, objects: dict[str, ObjectModel], seed: int, index: int) -> Plan:

@@ -14,7 +14,7 @@ import numpy as np
 from dgeval.geometry import Array, transform
 from dgeval.robots.diana7 import DAMPING, STIFFNESS, ArmKinematics
 from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
-from dgeval.robots.hand import KnownHand
+from dgeval.robots.hand import SimulatedHand
 from dgeval.simulation.setting import Setting, present
 from dgeval.worlds.closing import CLOSE_S, CONTROL_S, LIFT_S, SETTLE_S, SUBSTEPS
 from dgeval.worlds.hand_and_object import HandAndObject
@@ -42,7 +42,7 @@ class World(HandAndObject):
     Base frame: the arm's base. target: the object to grasp. belt_speed in m/s along +y.
     """
 
-    gripper: KnownHand
+    gripper: SimulatedHand
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class World(HandAndObject):
         cameras: tuple[Camera, ...] = (),
         setting: Setting | None = None,
         *,
-        gripper: KnownHand,
+        gripper: SimulatedHand,
     ) -> None:
         self.target, self.setting = target, setting or Setting()
         self.presenter = self.setting.presenter
@@ -186,7 +186,7 @@ def _build_model(
     robot: Literal["arm", "none"],
     cameras: tuple[Camera, ...],
     setting: Setting,
-    gripper: KnownHand | None,
+    gripper: SimulatedHand | None,
 ) -> mujoco.MjModel:
     others = tuple(o[0] for o in setting.others)
     presented, turntable = setting.presenter is not None, setting.turn is not None
