@@ -7,7 +7,7 @@ rendered recordings; path, push, contact and gap are then found by dgeval's own 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -70,11 +70,17 @@ def at_ns(tick: int) -> int:
     return START_NS + tick * PERIOD_NS
 
 
-def log_of_run(run: Run, world: World, config: Config) -> TrialLog:
-    """What a verdict would read of a recording of this run."""
+def log_of_run(
+    run: Run, world: World, config: Config, changed: Callable[[str], str] = str
+) -> TrialLog:
+    """What a verdict would read of a recording of this run.
+
+    changed: what becomes of the robot's description.
+    """
     samples, T_base_cameras = _states(run, world)
     scan = Scan(Opened(Nothing(), Path("modelled")))
-    scan.descriptions[ROBOT_DESCRIPTION] = robot_urdf(world.gripper.T_hand_camera, world.gripper)
+    text = robot_urdf(world.gripper.T_hand_camera, world.gripper)
+    scan.descriptions[ROBOT_DESCRIPTION] = changed(text)
     scan.images[COLOUR] = ImageHead("rgb8", 640, 480, CAMERA_FRAME, "rgb8")
     scan.joints[JOINTS] = samples
     robot = robot_states(

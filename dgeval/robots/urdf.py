@@ -16,6 +16,7 @@ from dgeval.robots import diana7 as arm
 from dgeval.robots.hand import BASE, SimulatedHand
 
 Numbers = tuple[float, ...]
+FLANGE = "flange"  # where a hand is mounted that has frames of its own
 CAMERA_FRAME = "camera_color_optical_frame"  # the colour camera's frame in recordings
 
 
@@ -32,10 +33,11 @@ def robot_urdf(T_hand_camera: Array, hand: SimulatedHand) -> str:
         name = f"link_{k + 1}"
         parts += [link(name), joint(arm.JOINT_NAMES[k], parent, name, xyz, rpy, limits)]
         parent = name
-    parts += [link(BASE, hand.palm_solids), fixed("hand_mount", parent, BASE, arm.T_flange_hand)]
+    base = BASE if hand.palm_frame is None else FLANGE
+    parts += [link(base, hand.palm_solids), fixed("hand_mount", parent, base, arm.T_flange_hand)]
     if hand.palm_frame is None:
         parts += [link("palm_link"), fixed("palm_mount", BASE, "palm_link", hand.T_hand_palm)]
-    parts += [link(CAMERA_FRAME), fixed("hand_eye", BASE, CAMERA_FRAME, T_hand_camera)]
+    parts += [link(CAMERA_FRAME), fixed("hand_eye", base, CAMERA_FRAME, T_hand_camera)]
     parts += hand.links()
     return f'<robot name="dgeval_arm_hand">{"".join(parts)}</robot>'
 

@@ -1,0 +1,236 @@
+"""Hands that dgeval doesn't know, against the truth: `python -m benchmarks.other_hands`.
+
+Failures are simulated with a hand of `benchmarks/hands`, physics first (see `benchmarks.verdict`):
+the hand of the truth is MuJoCo's import of the URDF, that of the verdict what the recorded
+description gives, with meshes and with capsules in their place. The same seeds with the five-finger
+hand by name stand beside. `--wrong` puts an error into the description alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import dgeval.worlds  # noqa: F401  # isort: skip  (it chooses how images are drawn before mujoco is imported)
+import numpy as np
+from dgeval.config import VerdictConfig
+from dgeval.determinism import limit_threads
+from dgeval.errors import UsageError
+from dgeval.failure_rule import CLASSES, Thresholds, Unknown
+from dgeval.simulation.campaign import Campaign, find_grasps, grasps_of, plan_of, world_of
+from dgeval.simulation.imported_hand import ImportedHand
+from dgeval.simulation.perception import ModelledPerception
+from dgeval.simulation.scenario import load_scenario, with_hand
+from dgeval.simulation.trial import run_trial
+from dgeval.simulation.truth import prove
+from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
+from dgeval.verdict.decide import undecided
+from dgeval.verdict.draws import decide_scene
+from dgeval.verdict.evidence import scene_of
+from dgeval.verdict.outcome import outcome_of
+from dgeval.worlds.objects import ten_objects
+
+from benchmarks.modelled import hindsight_of_run, log_of_run
+from benchmarks.result import RESULTS, table, write
+from benchmarks.verdict import MIN_TICKS
+
+HERE = Path(__file__).parent / "hands"
+BY_NAME = "five-finger hand, by name"
+
+
+def _mimic_turned(text: str) -> str:
+    return re.sub(
+        r'(<mimic [^>]*multiplier=")([^"]*)', lambda m: m[1] + str(-float(m[2])), text, count=1
+    )
+
+
+def _axis_reversed(text: str) -> str:
+    """The first moving joint of the last finger turns, or slides, the other way."""
+    at = [m.start() for m in re.finditer(r"<axis ", text) if "arm_" not in _joint(text, m.start())]
+    head, tail = text[: at[-1]], text[at[-1] :]
+    numbers = re.search(r'xyz="([^"]*)"', tail)
+    assert numbers is not None
+    other = " ".join(str(-float(v)) for v in numbers[1].split())
+    return head + tail.replace(numbers[1], other, 1)
+
+
+def _joint(text: str, at: int) -> str:
+    return text[text.rindex("<joint", 0, at) : at]
+
+
+def _larger(text: str) -> str:
+    """Meshes and boxes of the hand larger by a fifth."""
+    text = re.sub(r"(<mesh [^>]*?)(/?>)", r'\1 scale="1.2 1.2 1.2"\2', text)
+    return re.sub(
+        r'(<box size=")([^"]*)',
+        lambda m: m[1] + " ".join(str(1.2 * float(v)) for v in m[2].split()),
+        text,
+    )
+
+
+WRONG: dict[str, Callable[[str], str]] = {
+    "right": str,
+    "mimic turned": _mimic_turned,
+    "meshes x 1.2": _larger,
+    "axis reversed": _axis_reversed,
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One trial. hand: a file's stem, or BY_NAME. ways: of the description's solids."""
+
+    hand: str
+    scenario: str
+    seed: int
+    index: int
+    ways: tuple[str, ...]
+    wrong: str
+    work: Path
+
+
+def campaign_of(job: Job) -> Campaign:
+    scenario = load_scenario(job.scenario).model_copy(update={"choose": None})
+    if job.hand != BY_NAME:
+        scenario = with_hand(scenario, HERE / f"{job.hand}.toml")
+    return Campaign(scenario, job.seed, 1, job.work / job.hand)
+
+
+def prepare(job: Job) -> None:
+    """Find the hand's grasps of the object number `index`."""
+    find_grasps(campaign_of(job), job.index)
+
+
+def judge(job: Job) -> dict[str, Any]:
+    """One trial: the truth, and what each way of knowing the hand says."""
+    limit_threads()
+    campaign = campaign_of(job)
+    scenario = campaign.scenario
+    plan = plan_of(campaign, job.index)
+    world = world_of(campaign, plan)
+    perceiver = ModelledPerception(scenario, plan, world)
+    run = run_trial(plan, scenario, world, grasps_of(campaign, plan), perceiver)
+    held = run.finish is not None and run.finish.success
+    hand = scenario.gripper
+    out: dict[str, Any] = {"hand": job.hand, "index": job.index, "wrong": job.wrong}
+    out |= {"object": plan.object, "closed": run.close is not None, "held": held}
+    for way in job.ways:
+        dirs = hand.mesh_dirs if isinstance(hand, ImportedHand) and way == "meshes" else ()
+        calibration = scenario.pipeline.calibration.model_copy(update={"mesh_dirs": dirs})
+        config = scenario.pipeline.model_copy(update={"calibration": calibration})
+        try:
+            log = log_of_run(run, world, config, WRONG[job.wrong])
+        except UsageError as error:
+            out[way] = {"outcome": "unknown", "class": "unknown", "why": str(error), "p": []}
+            continue
+        out[way] = {"outcome": outcome_of(log, None).outcome, "log": log}
+    truth = None
+    if not held and len(run.ticks) >= MIN_TICKS:
+        proved = prove(run, world, Thresholds())
+        truth = proved.failure_class if proved.outcome == "failure" else None
+    if truth is not None:
+        out["truth"] = truth
+    for way in job.ways:
+        log = out[way].pop("log", None)
+        if truth is None or log is None:
+            continue
+        start = time.process_time()
+        hindsight = hindsight_of_run(run, world, log, job.seed)
+        scene = Unknown("never tracked") if hindsight is None else scene_of(log, hindsight)
+        decision: Any = scene
+        if not isinstance(scene, Unknown):
+            decision = decide_scene(scene, "twin", VerdictConfig().draws, 0, VerdictConfig().least)
+        if isinstance(decision, Unknown):
+            decision = undecided(decision.reason, "twin")
+        answer = decision.answer
+        unknown = isinstance(answer, Unknown)
+        out[way] |= {
+            "class": "unknown" if unknown else answer.failure_class,
+            "why": answer.reason if unknown else None,
+            "p": decision.probabilities,
+            "seconds": time.process_time() - start,
+        }
+    return out
+
+
+def tables(rows: list[dict[str, Any]], ways: tuple[str, ...]) -> str:
+    """Markdown of one hand."""
+    closed = [r for r in rows if r["closed"]]
+    failed = [r for r in rows if "truth" in r]
+    truth = [r["truth"] for r in failed]
+    lines, parts = [], []
+    for way in ways:
+        ended = sum((r[way]["outcome"] == "success") == r["held"] for r in closed)
+        unsaid = sum(r[way]["outcome"] == "unknown" for r in closed)
+        low, high = wilson(ended, len(closed))
+        said = [r[way]["class"] for r in failed]
+        f1, f_low, f_high = macro_f1(truth, said, CLASSES)
+        told = [(r[way]["p"], r["truth"] == r[way]["class"]) for r in failed if r[way]["p"]]
+        off = calibration_error(
+            np.array([max(p) for p, _ in told]), np.array([ok for _, ok in told])
+        )
+        lines.append([
+            way, f"{ended} of {len(closed)} [{low:.2f}, {high:.2f}], {unsaid} unknown",
+            str(len(failed)), str(said.count("unknown")), f"{f1:.2f} [{f_low:.2f}, {f_high:.2f}]",
+            f"{off:.2f}", f"{np.mean([r[way].get('seconds', 0.0) for r in failed]):.1f}",
+        ])  # fmt: skip
+        classes = [*CLASSES, "unknown"]
+        matrix = confusion(truth, said, classes)[:3]
+        counted = [[c, *map(str, row)] for c, row in zip(CLASSES, matrix, strict=True)]
+        parts.append(f"{way}, truth in rows:\n\n{table(['', *classes], counted)}")
+    head = ["solids", "outcome right", "failures", "unknown", "macro-F1", "calibration", "CPU s"]
+    return "\n\n".join([table(head, lines), *parts])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    names = sorted(p.stem for p in HERE.glob("*.toml"))
+    parser.add_argument("--hand", action="append", help=f"default: {', '.join(names)}, known")
+    parser.add_argument("--scenario", default="failures")
+    parser.add_argument("--seed", type=int, default=7300)
+    parser.add_argument("--trials", type=int, default=60)
+    parser.add_argument("--way", action="append", help="meshes, capsules; default: both")
+    parser.add_argument("--wrong", default="right", choices=WRONG)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--work", type=Path, default=Path("runs/other_hands"))
+    parser.add_argument("--out", type=Path, default=RESULTS / "other_hands.md")
+    options = parser.parse_args()
+    parts = []
+    with (
+        ProcessPoolExecutor(options.jobs) as pool,
+        options.out.with_suffix(".jsonl").open("w") as file,
+    ):
+        for hand in options.hand or [*names, "known"]:
+            known = hand == "known"
+            name = BY_NAME if known else hand
+            ways = ("by name",) if known else tuple(options.way or ("meshes", "capsules"))
+
+            def job(index: int, name: str = name, ways: tuple[str, ...] = ways) -> Job:
+                common = (options.scenario, options.seed, index, ways, options.wrong)
+                return Job(name, *common, options.work)
+
+            if not known:
+                list(pool.map(prepare, [job(k) for k in range(len(ten_objects()))]))
+            rows = []
+            for row in pool.map(judge, [job(k) for k in range(options.trials)]):
+                rows.append(row)
+                file.write(json.dumps(row) + "\n")
+                file.flush()
+            parts.append(f"## {name}\n\n{tables(rows, ways)}")
+    command = f"python -m benchmarks.other_hands --seed {options.seed} --trials {options.trials}"
+    command += f" --wrong '{options.wrong}'" if options.wrong != "right" else ""
+    title = "Hands that dgeval does not know"
+    print(write(options.out.stem, title, command, parts, options.out.parent).read_text("utf-8"))
+
+
+if __name__ == "__main__":
+    main()
