@@ -21,6 +21,10 @@ Examples:
 """
 
 
+# s; a recorder so much later than the stamps has another clock's zero, and no delay
+DAYS_OF_A_CLOCK_S = 1e8
+
+
 @command
 def inspect(
     path: Annotated[Path, typer.Argument(help="A recording.")],
@@ -111,6 +115,8 @@ def _print(inspection: dict[str, Any]) -> None:
             abs(topic["recorder_delay_s"]) > 0.001 or abs(topic["drift_ppm"]) > 20
         ):
             delay = f"recorder {topic['recorder_delay_s']:+.4f} s after the header stamp"
+            if topic["recorder_delay_s"] > DAYS_OF_A_CLOCK_S:
+                delay += " (the header counts from a start, as simulated time does)"
             typer.echo(
                 f"          {delay}, drift {topic['drift_ppm']:+.0f} ppm, "
                 f"jitter {topic['jitter_s']:.4f} s"

@@ -121,8 +121,9 @@ def close_of(
             if found.motion_ns is not None:
                 at = (found.motion_ns - first_ns) * 1e-9
                 note = (
-                    f"fingers close at {at:+.2f} s and the palm does not rise after it: taken for "
-                    f"pre-shaping, as the trial's end is marked and no close; if it is one: {MENDS}"
+                    f"fingers close at {at:+.2f} s and the palm does not rise after it, or rises "
+                    "with it: taken for no close, as the trial's end is marked and none is; if it "
+                    f"is one: {MENDS}"
                 )
             return CloseKnown(events, None, None, note)
         return CloseKnown(events, None, f"no moment of closing is marked{found.why}; {MENDS}")

@@ -86,7 +86,12 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
         earlier = tuple(start for start, _ in attempts[:0:-1])
         return Inferred(*attempts[0], period, earlier)
     at = (motions[-1][0] - first_ns) * 1e-9
-    why = f"; fingers close at {at:+.2f} s, but the palm does not rise after it"
+    rises = lift_after(robot, *motions[-1], last_ns) is not None
+    why = f"; fingers close at {at:+.2f} s, but " + (
+        "with the palm's rise and not before it, as they do where something held them open"
+        if rises
+        else "the palm does not rise after it"
+    )
     return NoClose(why, seen, motions[-1][0])
 
 

@@ -245,13 +245,14 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         raise UsageError(
             f"frames.base = {base!r} is not connected to the camera frame {camera!r} in tf"
         )
-    if base is None:
+    if base is None and roles.colour is not None:
         known = tree.frames()
         if known and camera not in known:
             notes.append(
                 f"the images' frame {camera!r} is in neither /tf nor a description (frames.camera)"
             )
         notes.append("no camera pose recorded: the base frame is the camera frame")
+    if base is None:
         palm = palm if config.frames.palm is not None else None
     for child, parents in tree.reparented().items():
         notes.append(

@@ -63,7 +63,8 @@ def described_grip(
     # jaws that one drive moves show its effort at one of them
     drives = {joint.follows for k, joint in enumerate(joints) if closed[k]}
     if len(fingers) >= min(2, len(drives)):
-        return True, f"{len(fingers)} fingers press harder at the end than they did on their way"
+        who = "a finger presses" if len(fingers) == 1 else f"{len(fingers)} fingers press"
+        return True, f"{who} harder at the end than on the way"
     if not presses.any():
         return False, "no finger presses at the end"
     return None
