@@ -18,8 +18,9 @@ MOVED = 0.05  # share of a joint's range (rad and m without one), by which it cl
 AT_LIMIT = 0.03  # share of a joint's range, within which it has closed as far as it goes; ours
 MOVING = 0.3  # share of its fastest motion, above which a joint is on its way
 # a finger presses with more than so many times the effort of free motion, so many standard
-# deviations of its effort before the close, and such a share of the largest effort; ours
+# deviations of its effort up to the close, and such a share of the largest effort; ours
 HARDER, NOISES, LEAST_SHARE = 3.0, 6.0, 0.1
+NORMAL = 1.4826  # times the median deviation, is a normal distribution's standard deviation
 FREE = 0.25  # quantile of the efforts on the way, which is that of free motion; ours
 LEAST_SAMPLES = 5
 
@@ -51,7 +52,9 @@ def described_grip(
     at_limit = np.abs(rest - limit) < AT_LIMIT * span
     if at_limit[closed].all():
         return False, "the fingers have closed as far as they go, with nothing between them"
-    pressing = _drives_press(before, way, last)
+    # before the close the fingers may already push something: the whole time tells their zero
+    earlier = _of([s for s in samples if s.t_ns <= close_ns], hand)
+    pressing = _drives_press(earlier, way, last)
     if pressing is None:
         return None
     presses = closed & ~at_limit & pressing
@@ -97,16 +100,16 @@ def _farthest(positions: Array, start: Array) -> Array:
 
 
 def _drives_press(
-    before: tuple[Array, Array], way: tuple[Array, Array], last: tuple[Array, Array]
+    earlier: tuple[Array, Array], way: tuple[Array, Array], last: tuple[Array, Array]
 ) -> np.ndarray | None:
     """(k,) whether each joint's drive gives more at the end than it gave on its way; None where
     efforts are not recorded.
     """
-    efforts = [x[1] for x in (before, way, last)]
+    efforts = [x[1] for x in (earlier, way, last)]
     if any(np.isnan(x).all() for x in efforts) or not any(np.nan_to_num(x).any() for x in efforts):
         return None
     rest = np.nanmedian(efforts[0], axis=0)
-    noise = np.nanstd(efforts[0], axis=0)
+    noise = NORMAL * np.nanmedian(np.abs(efforts[0] - rest), axis=0)
     speed = np.abs(np.diff(way[0], axis=0, prepend=way[0][:1]))
     moving = speed > MOVING * np.nanmax(speed, axis=0)
     given = np.abs(efforts[1] - rest)

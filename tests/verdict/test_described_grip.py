@@ -54,6 +54,23 @@ def test_what_fingers_show(rest: float, effort: float | None, holds: bool | None
     assert (None if found is None else found[0]) is holds
 
 
+def test_fingers_that_pushed_something_before_the_close() -> None:
+    """Fails where their effort at the close is taken for its zero, and none at the end for a grip.
+
+    The jaws push something from 0.6 s on, and close to 5 mm, empty.
+    """
+    samples = [
+        JointSample(s.t_ns, s.positions, dict.fromkeys(s.efforts, 20.0))
+        if 0.6e9 < s.t_ns <= CLOSE_S * 1e9
+        else s
+        for s in states(0.005, 0.01)
+    ]
+    end = [s for s in samples if s.t_ns > (END_S - 0.5) * 1e9]
+    found = described_grip(gripper(), samples, round(CLOSE_S * 1e9), end)
+    assert found is not None
+    assert not found[0]
+
+
 def test_a_hand_that_has_opened_again_says_nothing() -> None:
     """Fails where a success that was put down is a failure, as nothing presses at the end."""
     samples = [
