@@ -94,6 +94,20 @@ class CalibrationConfig(Section):
     )
 
 
+class HandConfig(Section):
+    """What the description of a hand that dgeval doesn't know leaves open (docs/hands.md)."""
+
+    root: str | None = Field(
+        None, description="link that the fingers hang on; default: found from the palm's frame"
+    )
+    closed: dict[str, float] = Field(
+        {}, description="rad or m by joint, of the closed hand; default: the joints' limits"
+    )
+    close_s: float | None = Field(
+        None, gt=0, le=3.0, description="s in which it closes where the trial shows no close"
+    )
+
+
 class SyncConfig(Section):
     tolerance_s: float | None = Field(
         None, gt=0, description="colour-depth; default: half the colour period"
@@ -420,6 +434,7 @@ class Config(Section):
     clock: ClockConfig = ClockConfig()
     frames: FramesConfig = FramesConfig()
     calibration: CalibrationConfig = CalibrationConfig()
+    hand: HandConfig = HandConfig()
     sync: SyncConfig = SyncConfig()
     self_filter: SelfFilterConfig = SelfFilterConfig()
     plane: PlaneConfig = PlaneConfig()

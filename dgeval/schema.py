@@ -184,6 +184,8 @@ TRIALS: tuple[Column, ...] = (
            "first frame in which the replay would have closed", "trial"),
     Column("t_close_ns", "int", "ns", "close command, or what was taken for it", "trial"),
     Column("close_source", "str", "", "event, manifest, command, joints, width or effort", "trial"),
+    Column("closing_source", "str", "",
+           "of the verdict's hand's closing: known (its own), recorded, set or limits", "trial"),
     Column("t_fingers_ns", "int", "ns", "when the fingers are seen to begin to close", "trial"),
     Column("t_decisive_ns", "int", "ns",
            "when it was decided: the push, the close, or a good moment that went by", "trial"),

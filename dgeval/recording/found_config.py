@@ -8,6 +8,7 @@ from pathlib import Path
 from dgeval.config import Config
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
+from dgeval.robots.described_hand import DescribedHand
 
 
 def found_config(path: Path, config: Config) -> str:
@@ -57,6 +58,18 @@ def found_config(path: Path, config: Config) -> str:
         lines.append(f"depth_scale = {camera.depth_scale:g}  # m per unit")
     else:
         lines.append("# depth_scale: millimetres in whole numbers, metres in floats")
+    hand = robot.hand_found
+    lines += ["", "[hand]", f"# {hand if isinstance(hand, str) else hand.told}"]
+    if isinstance(hand, DescribedHand):
+        geometry = hand.geometry
+        closed = zip(geometry.names, geometry.closed.tolist(), strict=True)
+        listed = ", ".join(f"{_text(name)} = {value:.4g}" for name, value in closed)
+        lines += [
+            f"root = {_text(geometry.links.base)}",
+            "# where the fingers go at a close that the trial does not show: the joints' limits",
+            f"# closed = {{ {listed} }}",
+            f"# close_s = {hand.close_s:g}",
+        ]
     if trial.checks:
         names = json.dumps(sorted({c.name for c in trial.checks}))
         lines += ["", "[checks]", *(f"# {check}" for check in trial.checks), f"# accept = {names}"]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgeval.config import Config
+from dgeval.config import Config, HandConfig
 from dgeval.errors import Place, UsageError
 from dgeval.geometry import Array, matrix_from_pose
 from dgeval.recording.contract import ROBOT_DESCRIPTION
@@ -23,7 +23,7 @@ from dgeval.recording.palm import palm_of
 from dgeval.recording.roles import Roles, joint_topics, merged_joints
 from dgeval.recording.scan import Scan, Transforms
 from dgeval.recording.transforms import TransformTree
-from dgeval.robots.described_hand import described_hand
+from dgeval.robots.described_hand import CLOSE_S, described_hand
 from dgeval.robots.description import Description, Joint, LinkShape
 from dgeval.robots.hand import Hand
 from dgeval.robots.hand_links import hand_links
@@ -92,7 +92,8 @@ class RobotStates:
     hand_links: links of the hand that have a shape. joints: of the whole robot, samples: as
     recorded. notes: what was assumed. conflict: robots that use the same names and are not told
     apart, "" without. hands: palms of several hands of which nothing tells the one that grasps.
-    changed: static transforms and descriptions that are given twice, differently.
+    changed: static transforms and descriptions that are given twice, differently. hand_given: what
+    a user says of the hand.
     """
 
     tree: TransformTree
@@ -107,6 +108,7 @@ class RobotStates:
     hands: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
     samples: tuple[JointSample, ...] = ()
+    hand_given: HandConfig = field(default_factory=HandConfig)
 
     @cached_property
     def hand_found(self) -> Hand | str:
@@ -123,8 +125,11 @@ class RobotStates:
         description, frame, track = self.description, self.palm_frame, self.joints
         if description is None or frame is None:
             return "no frame of a palm is found (frames.palm), so the hand is not known"
-        palm = frame
+        given = self.hand_given
+        palm = given.root or frame
         if palm not in description.joints and palm not in description.shapes:
+            if given.root is not None:
+                return f"hand.root = {palm!r} is not in the description"
             branches = description.branches()
             if len(branches) != 1:
                 return f"the palm's frame {palm!r} is not in the description (frames.palm)"
@@ -133,12 +138,18 @@ class RobotStates:
         if isinstance(links, str):
             return links
         joints = links.joints(description)
+        others = sorted(set(given.closed) - {joint.name for joint in joints})
+        if others:
+            named = ", ".join(joint.name for joint in joints)
+            return f"hand.closed names {others[0]!r}; the hand's joints are {named}"
         first_ns = max((track.first_ns(joint) for joint in joints), default=0)
         start = [track.position(joint, first_ns, self.tree.max_gap_ns) for joint in joints]
         T = self.tree.lookup(links.base, frame, first_ns)
         if T is None or any(q is None for q in start):
             return f"where the palm's frame {frame!r} is on {links.base!r} is not recorded"
-        return described_hand(description, links, T, np.array(start, dtype=np.float64))
+        at = np.array(start, dtype=np.float64)
+        close_s = CLOSE_S if given.close_s is None else given.close_s
+        return described_hand(description, links, T, at, given.closed, close_s)
 
     @property
     def hand(self) -> Hand | None:
@@ -288,6 +299,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         hands,
         (*changed, *(f"{t} has two descriptions" for t in sorted(scan.description_changes))),
         tuple(samples),
+        config.hand,
     )
 
 

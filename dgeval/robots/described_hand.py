@@ -6,15 +6,17 @@ inertias, damping and friction are not: they were set for other programs, and dg
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from dgeval.geometry import Array
 from dgeval.robots.description import Description, Joint
-from dgeval.robots.hand import Hand
+from dgeval.robots.hand import LIFT_AFTER_S, Hand
 from dgeval.robots.hand_geometry import HandGeometry
 from dgeval.robots.hand_links import HandLinks
 from dgeval.robots.hand_solids import add_solids
@@ -38,13 +40,13 @@ class DescribedHand(Hand):
     """A hand that is known from its description.
 
     without_solids: its solids are capsules, as the description has none. closing_source: where its
-    closing motion is from: the trial itself, or the joints' limits. force_n: least and most force
-    of a fingertip, N.
+    closing motion is from: the trial itself, the configuration, or the joints' limits. force_n:
+    least and most force of a fingertip, N.
     """
 
     geometry: HandGeometry = field(kw_only=True)
     without_solids: bool = field(kw_only=True)
-    closing_source: Literal["recorded", "limits"] = field(default="limits", kw_only=True)
+    closing_source: Literal["recorded", "set", "limits"] = field(default="limits", kw_only=True)
     force_n: tuple[float, float] = field(default=(LEAST_FORCE_N, MOST_FORCE_N), kw_only=True)
 
     @property
@@ -61,12 +63,18 @@ class DescribedHand(Hand):
 
 
 def described_hand(
-    description: Description, links: HandLinks, T_base_palm: Array, open_positions: Array
+    description: Description,
+    links: HandLinks,
+    T_base_palm: Array,
+    open_positions: Array,
+    closed: Mapping[str, float] = MappingProxyType({}),
+    close_s: float = CLOSE_S,
 ) -> DescribedHand:
     """The hand of some links of a description; without solids it gets capsules.
 
     T_base_palm (4, 4): the frame of grasps. open_positions (k,): of the joints, rad or m, before
-    the close, in the order of `HandLinks.joints`.
+    the close, in the order of `HandLinks.joints`. closed: positions of the closed hand that a user
+    names, by joint. close_s: s, in which it closes.
     """
     members = [link for finger in links.fingers for link in finger]
     without_solids = not any(description.shapes.get(link) for link in members)
@@ -77,7 +85,8 @@ def described_hand(
             for link in (links.base, *members)
         }
         description = replace(description, shapes={**description.shapes, **capsules})
-    geometry = HandGeometry(description, links, np.asarray(open_positions, dtype=np.float64))
+    opened = np.asarray(open_positions, dtype=np.float64)
+    geometry = HandGeometry(description, links, opened, tuple(closed.items()))
     slides = sum(joint.kind == "prismatic" for joint in geometry.joints)
 
     def add(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> None:
@@ -90,20 +99,22 @@ def described_hand(
         fingers=tuple(_finger_name(finger) for finger in links.fingers),
         T_hand_palm=T_base_palm,
         centre=geometry.meeting(geometry.closed),
-        close_s=CLOSE_S,
+        close_s=close_s,
+        lift_after_s=max(LIFT_AFTER_S, close_s),
         positions=np.copy,
-        targets=partial(_straight, geometry.closed),
+        targets=partial(_straight, geometry.closed, close_s),
         grip=None,
         mismatch_sd=MISMATCH_M if 2 * slides > len(geometry.joints) else MISMATCH_RAD,
         add=add,
         geometry=geometry,
         without_solids=without_solids,
+        closing_source="set" if closed else "limits",
     )
 
 
-def _straight(closed: Array, since_close: float, preshape: Array) -> Array:
-    """Targets of the drives that lead from where they were to the closed hand (k,) in CLOSE_S."""
-    share = float(np.clip(since_close / CLOSE_S, 0.0, 1.0))
+def _straight(closed: Array, close_s: float, since_close: float, preshape: Array) -> Array:
+    """Targets of the drives that lead from where they were to the closed hand (k,) in close_s."""
+    share = float(np.clip(since_close / close_s, 0.0, 1.0))
     return np.asarray(preshape + share * (closed - preshape))
 
 

@@ -28,11 +28,13 @@ class HandGeometry:
     """A hand's links with their solids and joints; positions (k,) are in the order of `joints`.
 
     All places are in the frame of `links.base`. open (k,) rad, m: the positions before a close.
+    given: those of the closed hand that a user named, by joint.
     """
 
     description: Description
     links: HandLinks
     open: Array
+    given: tuple[tuple[str, float], ...] = ()
 
     @cached_property
     def joints(self) -> list[Joint]:
@@ -123,11 +125,15 @@ class HandGeometry:
         """(k,) the positions at the limits in the direction that brings the fingertips together.
 
         Joints that follow others go with them; one without limits, or that brings nothing
-        together, stays where it is.
+        together, stays where it is. A position that is given goes before.
         """
         closed, start = self.open.copy(), self.apart(self.open)
+        given = dict(self.given)
         for k, joint in enumerate(self.joints):
             if joint.follows != joint.name and joint.follows in self.names:
+                continue
+            if joint.name in given:
+                closed = self._followed(closed, k, given[joint.name])
                 continue
             best = start - NEARER_M
             for limit in (joint.lower, joint.upper):

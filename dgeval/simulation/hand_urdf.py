@@ -133,7 +133,6 @@ class HandUrdf:
             raise UsageError(
                 f"of {couplings} mimic joints MuJoCo imports {len(spec.equalities)}",
                 Place(str(self.source)),
-                "name joints of the hand in mimic",
             )
         for couple in spec.equalities:
             couple.solref = [0.005, 1]
@@ -244,6 +243,14 @@ def part_of(path: Path, file: HandFile) -> HandUrdf:
     for joint in robot.iterfind("joint"):
         if joint.find("parent").get("link") in kept:
             part.append(joint)
+    own = {joint.get("name") for joint in part.iterfind("joint")}
+    for mimic in part.iter("mimic"):
+        if mimic.get("joint") not in own:  # MuJoCo drops it with a word in a file
+            joint = mimic.getparent().get("name")
+            raise UsageError(
+                f"joint {joint} mimics {mimic.get('joint')!r}, which is no joint of this hand",
+                Place(str(path)),
+            )
     for element in part.iter("link", "joint", "parent", "child", "mimic"):
         for key in ("name", "link", "joint"):
             if element.get(key) in TAKEN:

@@ -19,6 +19,9 @@ from dgeval.verdict.log import TrialLog
 from dgeval.verdict.outcome import outcome_of
 from dgeval.verdict.sentence import Times, sentence
 
+# a described hand's `closing_source` -> how it closes, for a person
+CLOSING = {"recorded": "as it closed here", "set": "as set", "limits": "to its limits"}
+
 
 @dataclass(frozen=True, slots=True)
 class VerdictRow:
@@ -39,6 +42,7 @@ class VerdictRow:
     gap_s: float | None = None
     gap_sided: str | None = None
     speed_measured: float | None = None
+    closing_source: str | None = None
 
 
 @dataclass(frozen=True)
@@ -83,12 +87,14 @@ def judge(
     times = Times(log.first_ns, log.last_ns, close_ns, pushed_ns)
     link = pushing_link(decision, hindsight)
     blame = blame_of(decision, scene.beliefs)
+    hand = scene.gripper
     row = replace(
         row,
         evidence=sentence(times, ended, decision, link),
         blame="unknown" if isinstance(blame.part, Unknown) else blame.part,
         p_blame=None if isinstance(blame.part, Unknown) else blame.probability,
         belief_source=blame.source,
+        closing_source=hand.closing_source if isinstance(hand, DescribedHand) else "known",
         **class_columns(decision),
     )
     notes += notes_of(scene, decision, blame)
@@ -141,7 +147,7 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
     hand = scene.gripper
     if isinstance(hand, DescribedHand):
         least, most = hand.force_n
-        closing = "as it closed here" if hand.closing_source == "recorded" else "to its limits"
+        closing = CLOSING[hand.closing_source]
         notes.append(
             f"verdict: the hand is {hand.told}; it closes {closing}, with {least:.0f} to "
             f"{most:.0f} N at a fingertip"

@@ -38,6 +38,17 @@ def test_jaws_close_to_the_middle_and_meet_behind_their_ends() -> None:
     assert hand.centre == pytest.approx([0.0, 0.0, 0.10], abs=1e-6)
 
 
+def test_a_closed_hand_that_is_given_goes_before_the_limits() -> None:
+    """Fails where a hand that never closes all the way is closed to its limits."""
+    description = load_description(robot(GRIPPER, PADS), "a test", (), 0.01)
+    links = hand_links(description, "hand", {"jaw"})
+    assert isinstance(links, HandLinks)
+    hand = described_hand(description, links, np.eye(4), np.full(2, 0.04), {"jaw": 0.01}, 0.2)
+    assert hand.geometry.closed == pytest.approx([0.01, 0.01])
+    assert hand.targets(0.1, hand.geometry.open) == pytest.approx([0.025, 0.025])
+    assert (hand.closing_source, hand.close_s) == ("set", 0.2)
+
+
 def test_an_axis_that_points_the_other_way_closes_the_other_way() -> None:
     turned = [
         *GRIPPER[:5],

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from dgeval.cli import app
-from dgeval.config import Config
+from dgeval.config import Config, HandConfig
 from dgeval.errors import UsageError
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import OWN_PREFIXES
@@ -103,7 +103,10 @@ MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
         ("<sdf/>", "not a URDF"),
         ("", "not a URDF"),
         (robot([joint("a", "hand", "cup", "fixed")], {"cup": box("0.1 0.1 0.1")}), "no joint"),
-        (robot([HAND[0], HAND[1].replace('joint="jaw"', 'joint="index"')], PADS), "mimic"),
+        (
+            robot([HAND[0], HAND[1].replace('joint="jaw"', 'joint="index"')], PADS),
+            "other mimics 'index'",
+        ),
         (robot(HAND, {**PADS, "left": MESH.format("package://x/left.stl")}), "no mesh .*left.stl"),
         (robot(HAND, {**PADS, "left": MESH.format("left.dae")}), "MuJoCo reads no mesh left.dae"),
     ],
@@ -148,6 +151,13 @@ def test_a_strangers_log_tells_nothing(tmp_path: Path, jaw: Path) -> None:
     assert isinstance(trial.robot.hand, DescribedHand)
     assert trial.robot.hand.geometry.names == ("jaw", "other_jaw")
     assert trial.robot.hand.centre == pytest.approx(read_hand(jaw).centre, abs=0.03)
+    found = {}
+    for given in ({"root": "tcp"}, {"root": "nowhere"}, {"closed": {"thumb": 1.0}}):
+        config = Config(hand=HandConfig.model_validate(given))
+        found[str(given)] = open_trial(find_trials([recording])[0], config).robot.hand_found
+    assert "'nowhere' is not in the description" in str(found["{'root': 'nowhere'}"])
+    assert "the hand's joints are jaw, other_jaw" in str(found["{'closed': {'thumb': 1.0}}"])
+    assert isinstance(found["{'root': 'tcp'}"], DescribedHand)  # fixed to the palm: the same hand
     again = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "again"), "--jobs", "2"])
     sha = [json.loads(r.stdout)["trials"][0]["recording"]["sha256"] for r in (first, again)]
     assert sha[0] == sha[1]

@@ -246,7 +246,8 @@ def test_the_facts_told_are_those_of_a_draw_of_the_class() -> None:
 MEASURED = {"gap_s": 0.4, "gap_sided": "two", "speed_measured": pytest.approx(0.1)}
 NOTHING: dict[str, Any] = dict.fromkeys(
     ("failure_class", "p_imprecise_pose", "p_collision", "p_timing", "p_unknown", "sub_cause",
-     "blame", "p_blame", "belief_source", "gap_s", "gap_sided", "speed_measured")
+     "blame", "p_blame", "belief_source", "gap_s", "gap_sided", "speed_measured",
+     "closing_source")
 )  # fmt: skip
 
 
@@ -349,6 +350,7 @@ def test_the_row_of_a_failure(stages: Replace) -> None:
     assert text.startswith("the hand closed at 2.50 s")
     assert asdict(found.row) == MEASURED | {
         "outcome": "failure", "outcome_source": "inferred", "evidence": text,
+        "closing_source": "known",
         "failure_class": "collision", "p_imprecise_pose": 0.2, "p_collision": 0.7, "p_timing": 0.1,
         "p_unknown": 0.0, "sub_cause": "displaced", "blame": "tracking",
         "p_blame": 0.6, "belief_source": "recorded",
