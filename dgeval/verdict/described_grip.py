@@ -21,7 +21,9 @@ MOVING = 0.3  # share of its fastest motion, above which a joint is on its way
 # deviations of its effort up to the close, and such a share of the largest effort; ours
 HARDER, NOISES, LEAST_SHARE = 3.0, 6.0, 0.1
 NORMAL = 1.4826  # times the median deviation, is a normal distribution's standard deviation
-FREE = 0.25  # quantile of the efforts on the way, which is that of free motion; ours
+FREE = (
+    0.05  # quantile of the efforts on the way, which is what moves a finger through the air; ours
+)
 LEAST_SAMPLES = 5
 
 
@@ -115,7 +117,7 @@ def _drives_press(
     given = np.abs(efforts[1] - rest)
     if not moving.any():
         return None
-    # at least a quarter of all motion meets nothing yet
+    # some of the motion meets nothing yet
     free = float(np.nanquantile(given[moving], FREE))
     now = np.abs(np.nanmedian(efforts[2], axis=0) - rest)
     most = max(float(np.nanmax(given)), float(np.nanmax(now)))
