@@ -51,11 +51,15 @@ def described_grip(
     if (np.abs(rest - start) < MOVED * span)[closed].all():
         return None  # the hand has opened again
     limit = np.where(reached > start, upper, lower)
+    ends = hand.geometry.closed
+    # what was pushed shut before the close opens a little at it
+    limit = np.where(ends != hand.geometry.open, ends, limit)
     at_limit = np.abs(rest - limit) < AT_LIMIT * span
     if at_limit[closed].all():
         return False, "the fingers have closed as far as they go, with nothing between them"
-    # before the close the fingers may already push something: the whole time tells their zero
-    earlier = _of([s for s in samples if s.t_ns <= close_ns], hand)
+    # before the close the fingers may already push something: the way there tells their zero
+    half_ns = (samples[0].t_ns + close_ns) // 2
+    earlier = _of([s for s in samples if s.t_ns <= half_ns], hand)
     pressing = _drives_press(earlier, way, last)
     if pressing is None:
         return None

@@ -71,6 +71,20 @@ def test_fingers_that_pushed_something_before_the_close() -> None:
     assert not found[0]
 
 
+def test_jaws_that_were_pushed_shut_before_the_close() -> None:
+    """Fails where opening a little, from beyond the limit to it, is a close that met something."""
+    samples = []
+    for t in np.arange(0.0, END_S, PERIOD_S):
+        q = OPEN if t < 0.7 else -0.01 if t < CLOSE_S else 0.0
+        effort = 20.0 if 0.7 <= t < CLOSE_S else 0.01
+        both = {"jaw": q, "other_jaw": q}
+        samples.append(JointSample(round(t * 1e9), both, dict.fromkeys(both, effort)))
+    end = [s for s in samples if s.t_ns > (END_S - 0.5) * 1e9]
+    found = described_grip(gripper(), samples, round(CLOSE_S * 1e9), end)
+    assert found is not None
+    assert not found[0]
+
+
 def test_a_hand_that_has_opened_again_says_nothing() -> None:
     """Fails where a success that was put down is a failure, as nothing presses at the end."""
     samples = [
