@@ -802,6 +802,48 @@ MUTANTS = [
     ),
     # a hand by its description
     Mutant(
+        "dgeval/simulation/hand_urdf.py",
+        "            if joint.name in imported - followers:\n",
+        "            if joint.name in imported:\n",
+        "tests/simulation/test_imported_hand.py",
+    ),
+    Mutant(
+        "dgeval/simulation/imported_hand.py",
+        "= offset + factor * out",
+        "= offset - factor * out",
+        "tests/simulation/test_imported_hand.py",
+    ),
+    Mutant(
+        "dgeval/simulation/hand_urdf.py",
+        "element.set(key, PREFIX + element.get(key))",
+        "pass",
+        "tests/simulation/test_imported_hand.py",
+    ),
+    Mutant(
+        "dgeval/simulation/record.py",
+        "if not (stranger and topic.startswith(OWN_PREFIXES)):",
+        "if topic:",
+        "tests/simulation/test_imported_hand.py",
+    ),
+    Mutant(
+        "dgeval/verdict/described_grip.py",
+        "half_ns = (samples[0].t_ns + close_ns) // 2",
+        "half_ns = close_ns",
+        "tests/verdict/test_described_grip.py",
+    ),
+    Mutant(
+        "dgeval/verdict/described_grip.py",
+        "    limit = np.where(ends != hand.geometry.open, ends, limit)\n",
+        "",
+        "tests/verdict/test_described_grip.py",
+    ),
+    Mutant(
+        "dgeval/robots/hand_geometry.py",
+        "closed = self._followed(closed, k, given[joint.name])",
+        "pass",
+        "tests/robots/test_described_hand.py",
+    ),
+    Mutant(
         "dgeval/robots/hand_links.py",
         '        if joint.parent in group and joint.kind != "fixed"\n',
         "        if joint.parent in group\n",
@@ -876,8 +918,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/events.py",
-        "if said or event.kind == LABEL_EVENT:",
-        "if event.kind == LABEL_EVENT:",
+        "return event.kind == LABEL_EVENT or any(key in event.fields for key in LABEL_KEYS)",
+        "return event.kind == LABEL_EVENT",
         "tests/recording/test_second_strangers.py",
     ),
     Mutant(
