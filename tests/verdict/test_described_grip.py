@@ -60,7 +60,7 @@ def test_fingers_that_pushed_something_before_the_close() -> None:
     The jaws push something from 0.45 s on, most of the time to the close, and close to 5 mm, empty.
     """
     samples = [
-        JointSample(s.t_ns, s.positions, dict.fromkeys(s.efforts, 20.0))
+        JointSample(s.t_ns, s.positions, dict.fromkeys(s.efforts, 2.5))
         if 0.45e9 < s.t_ns <= CLOSE_S * 1e9
         else s
         for s in states(0.005, 0.01)
