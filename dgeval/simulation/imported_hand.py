@@ -22,7 +22,8 @@ ALIKE = 0.05
 PRESHAPED = 0.35  # share of the way to closed, at most, that a grasp starts from
 # the colour camera on the hand: beside the fingers, and looking along them; ours
 CAMERAS = 8  # places around the hand that are tried
-CAMERA_BESIDE_M, CAMERA_BEHIND_M, CAMERA_LOOKS_AT_M = 0.10, 0.03, 0.30
+CAMERA_BESIDE_M, CAMERA_BEHIND_M = 0.10, 0.03
+CAMERA_LOOKS_M = 0.10  # before the grasp centre, which it still sees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +195,7 @@ def _camera(file: HandFile, model: mujoco.MjModel, opened: Array, centre: Array)
                     hit = mujoco.mj_ray(model, data, at, to, None, 1, -1, np.zeros(1, np.int32))
                     hidden += 0 <= hit < 1
         if best is None or hidden < best[0]:
-            z = np.array([*centre[:2], CAMERA_LOOKS_AT_M]) - at
+            z = centre + np.array([0.0, 0.0, CAMERA_LOOKS_M]) - at
             z /= np.linalg.norm(z)
             x_axis = np.cross(beside, z)
             x_axis /= np.linalg.norm(x_axis)

@@ -11,6 +11,7 @@ import pytest
 from dgeval.cli import app
 from dgeval.config import Config, HandConfig
 from dgeval.errors import UsageError
+from dgeval.geometry import invert, transform
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import OWN_PREFIXES
 from dgeval.recording.trials import find_trials, open_trial
@@ -58,6 +59,14 @@ def test_a_files_hand(jaw: Path) -> None:
     assert (hand.open, hand.targets(1.0, hand.open)) == (0.04, 0.0)
     assert hand.positions(np.array([0.03])) == pytest.approx([0.03, 0.03])
     assert hand.centre == pytest.approx([0, 0, 0.085], abs=0.03)
+
+
+def test_the_camera_sees_what_is_held(jaw: Path) -> None:
+    """Fails where the grasp centre is outside of the picture of 42 degrees, or behind it."""
+    hand = read_hand(jaw)
+    x, y, z = transform(invert(hand.T_hand_camera), hand.centre[None])[0]
+    assert z > 0
+    assert np.degrees(np.arctan2(np.hypot(x, y), z)) < 21
 
 
 def test_both_roads_give_the_same_hand(jaw: Path) -> None:
