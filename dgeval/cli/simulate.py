@@ -78,6 +78,7 @@ def simulate(
     a manifest."""
     from dgeval.errors import UsageError
     from dgeval.simulation.campaign import Campaign, platform_name, run_campaign
+    from dgeval.simulation.hand_grasps import without_grasps
     from dgeval.simulation.imported_hand import ImportedHand
     from dgeval.simulation.scenario import load_manifest, load_scenario, with_hand
 
@@ -127,6 +128,8 @@ def simulate(
         )
         raise typer.Exit(3 if differences and same_platform else 0)
     _summary(pairs, campaign)
+    if isinstance(gripper, ImportedHand) and (left := without_grasps(folder / "grasps")):
+        typer.echo(f"left out, as the hand was found not to hold them: {', '.join(left)}")
     if isinstance(gripper, ImportedHand) and images:
         named = ", ".join(f'"{folder}"' for folder in gripper.mesh_dirs)
         typer.echo(f"its meshes: --set 'calibration.mesh_dirs=[{named}]'")

@@ -16,6 +16,14 @@ from dgeval.worlds.objects import ObjectModel
 WANTED, SEED, TRIES = 8, 11, 3000  # grasps an object; of their search; ours
 
 
+def without_grasps(folder: Path) -> list[str]:
+    """The objects that the hand was found not to hold."""
+    kept = {
+        path.stem: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("*.json")
+    }
+    return sorted(name for name, found in kept.items() if not found["grasps"])
+
+
 def kept_grasps(hand: ImportedHand, target: ObjectModel, folder: Path) -> list[KnownGrasp]:
     """The hand's grasps of an object, from a file in the folder, or found and written there.
 
