@@ -35,6 +35,7 @@ from dgeval.verdict.decide import undecided
 from dgeval.verdict.draws import decide_scene
 from dgeval.verdict.evidence import scene_of
 from dgeval.verdict.outcome import outcome_of
+from dgeval.worlds.hand_and_object import UnstableError
 from dgeval.worlds.objects import ten_objects
 
 from benchmarks.modelled import hindsight_of_run, log_of_run
@@ -114,6 +115,13 @@ def prepare(job: Job) -> None:
 def judge(job: Job) -> dict[str, Any]:
     """One trial: the truth, and what each way of knowing the hand says."""
     limit_threads()
+    try:
+        return _judged(job)
+    except UnstableError:
+        return {"hand": job.hand, "index": job.index, "unstable": True, "closed": False}
+
+
+def _judged(job: Job) -> dict[str, Any]:
     campaign = campaign_of(job)
     scenario = campaign.scenario
     plan = plan_of(campaign, job.index)
@@ -165,6 +173,7 @@ def judge(job: Job) -> dict[str, Any]:
 
 def tables(rows: list[dict[str, Any]], ways: tuple[str, ...]) -> str:
     """Markdown of one hand."""
+    unstable = sum("unstable" in r for r in rows)
     closed = [r for r in rows if r["closed"]]
     failed = [r for r in rows if "truth" in r]
     if not failed:
@@ -195,7 +204,8 @@ def tables(rows: list[dict[str, Any]], ways: tuple[str, ...]) -> str:
         counted = [[c, *map(str, row)] for c, row in zip(CLASSES, matrix, strict=True)]
         parts.append(f"{way}, truth in rows:\n\n{table(['', *classes], counted)}")
     head = ["solids", "outcome right", "failures", "unknown", "macro-F1", "calibration", "CPU s"]
-    return "\n\n".join([table(head, lines), *parts])
+    left = [f"Left out: {unstable} trials whose physics was unstable."] if unstable else []
+    return "\n\n".join([table(head, lines), *left, *parts])
 
 
 def main() -> None:

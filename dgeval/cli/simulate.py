@@ -77,7 +77,12 @@ def simulate(
     """Simulate grasping trials with faults on purpose; write recordings, what is true of them, and
     a manifest."""
     from dgeval.errors import UsageError
-    from dgeval.simulation.campaign import Campaign, platform_name, run_campaign
+    from dgeval.simulation.campaign import (
+        Campaign,
+        platform_name,
+        run_campaign,
+        unstable_trials,
+    )
     from dgeval.simulation.hand_grasps import without_grasps
     from dgeval.simulation.imported_hand import ImportedHand
     from dgeval.simulation.scenario import load_manifest, load_scenario, with_hand
@@ -128,6 +133,8 @@ def simulate(
         )
         raise typer.Exit(3 if differences and same_platform else 0)
     _summary(pairs, campaign)
+    if unstable := unstable_trials(folder):
+        typer.echo(f"left out, as their physics was unstable: {', '.join(unstable)}")
     if isinstance(gripper, ImportedHand) and (left := without_grasps(folder / "grasps")):
         typer.echo(f"left out, as the hand was found not to hold them: {', '.join(left)}")
     if isinstance(gripper, ImportedHand) and images:
@@ -171,7 +178,8 @@ def _progress() -> Any:
             def line(phase: str, done: int, total: int, result: dict[str, Any]) -> None:
                 outcome = ""
                 if phase == "simulate":
-                    outcome = f": {result['verdict']['failure_class'] or 'success'}"
+                    verdict = result["verdict"]
+                    outcome = f": {verdict['failure_class'] or verdict['outcome']}"
                 elif phase == "grasps":
                     outcome = f": {result['count']}"
                 typer.echo(f"{phase} {done}/{total} {result['id']}{outcome}", err=True)

@@ -44,6 +44,7 @@ from dgeval.simulation.vfas_plan import plan_vfas
 from dgeval.simulation.vfas_trial import run_vfas
 from dgeval.simulation.world import World, twin_path
 from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S
+from dgeval.worlds.hand_and_object import UnstableError
 from dgeval.worlds.objects import ObjectModel, eight_objects, ten_objects
 from dgeval.worlds.scene import Camera
 
@@ -232,6 +233,16 @@ def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
     done = _finished(path, campaign.key())
     if done is not None:
         return done
+    try:
+        out = _proved(campaign, plan)
+    except UnstableError:  # nothing is known of it, and it is not recorded
+        verdict = {"outcome": "unknown", "failure_class": None, "unstable": True}
+        out = {"id": plan.id, "key": campaign.key(), "index": plan.index, "verdict": verdict}
+    _write(path, out)
+    return out
+
+
+def _proved(campaign: Campaign, plan: Plan) -> dict[str, Any]:
     start = time.perf_counter()
     if campaign.scenario.vfas or campaign.scenario.perception == "rendered" or campaign.records_all:
         with with_images(campaign, plan) as (run, world, renderer, kept):
@@ -242,7 +253,6 @@ def prove_trial(campaign: Campaign, index: int) -> dict[str, Any]:
     else:
         run, world = simulate(campaign, plan)
         out = _prove(campaign, plan, run, world, time.perf_counter() - start)
-    _write(path, out)
     return out
 
 
@@ -372,7 +382,9 @@ def run_campaign(
             for k, result in enumerate(over(prove_trial, campaign, block)):
                 proved.append(result)
                 kind = result["verdict"]["failure_class"] or "success"
-                if not quota or quota.get(kind, 0) > 0:
+                if result["verdict"]["outcome"] == "unknown":
+                    pass
+                elif not quota or quota.get(kind, 0) > 0:
                     chosen.append(result)
                     if quota:
                         quota[kind] -= 1
@@ -392,6 +404,12 @@ def run_campaign(
         write_manifest(campaign, pairs)
     _write(campaign.out / "simulated.json", {"simulated": proved})
     return pairs
+
+
+def unstable_trials(out: Path) -> list[str]:
+    """The trials of a finished campaign whose physics was unstable: nothing is known of them."""
+    made = json.loads((out / "simulated.json").read_text(encoding="utf-8"))["simulated"]
+    return [t["id"] for t in made if t["verdict"]["outcome"] == "unknown"]
 
 
 class _pool:

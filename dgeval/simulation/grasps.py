@@ -19,7 +19,7 @@ from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, matrix_from_pose
 from dgeval.robots.hand import SimulatedHand, hand_for
 from dgeval.robots.mjcf import quat_wxyz
-from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle
+from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle, UnstableError
 from dgeval.worlds.objects import ObjectModel, at
 from dgeval.worlds.scene import build
 
@@ -104,7 +104,10 @@ class FlyingHand(HandOnHandle):
 
         shake: it must also stay through a shake of 2 g.
         """
-        return CloseAndLift(self, preshape, np.zeros(3), SHAKE if shake else 0.0).finish()
+        try:
+            return CloseAndLift(self, preshape, np.zeros(3), SHAKE if shake else 0.0).finish()
+        except UnstableError:
+            return False
 
 
 def candidate(

@@ -32,6 +32,8 @@ ATTACHED = "attached/"  # in front of names of parts that only MuJoCo sees
 READ_BY_MUJOCO = (".stl", ".obj", ".msh")
 # Of a joint that turns, and of one that slides; ours, and not the twin's.
 DAMPING, ARMATURE, FRICTION = (0.03, 12.0), (3e-4, 0.15), (0.01, 0.5)
+# kg m^2, of a joint of a linkage: with less, its contacts become unstable
+LINKAGE_KGM2 = 1e-3
 FORCE = (0.9, 25.0)  # Nm, N, of a drive whose file states none
 ALL_FORCE_AT = (0.2, 0.006)  # rad, m, of position error, at which a drive gives all its force
 
@@ -135,7 +137,8 @@ class HandUrdf:
                 Place(str(self.source)),
             )
         for couple in spec.equalities:
-            couple.solref = [0.005, 1]
+            couple.solref = [0.010, 1]
+        coupled = {name for e in spec.equalities for name in (e.name1, e.name2)}
         for body in spec.bodies[1:]:
             body.gravcomp = 1
             for k, geom in enumerate(body.geoms):
@@ -148,6 +151,8 @@ class HandUrdf:
                 # one number in MuJoCo 3, three in 4
                 joint.damping = np.resize(DAMPING[slides], np.shape(joint.damping))
                 joint.armature, joint.frictionloss = ARMATURE[slides], FRICTION[slides]
+                if joint.name in coupled and not slides:
+                    joint.armature = LINKAGE_KGM2
         return spec
 
     def _drive(self, spec: mujoco.MjSpec, name: str, slides: int) -> None:

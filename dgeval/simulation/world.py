@@ -162,6 +162,7 @@ class World(HandAndObject):
     def advance(self, steps: int = SUBSTEPS) -> None:
         self.setting.drive(self.model, self.data)
         mujoco.mj_step(self.model, self.data, steps)
+        self.check_stable()
 
     def move_hand(self, twist: Array, fingers: Array) -> None:
         """As in `HandAndObject`; the arm follows the twist."""

@@ -16,6 +16,7 @@ from dgeval.verdict.decide import Decision, Draw, Draws, decide, too_uncertain, 
 from dgeval.verdict.evidence import Scene
 from dgeval.verdict.geometric import geometric_draw
 from dgeval.verdict.twin import Twin
+from dgeval.worlds.hand_and_object import UnstableError
 from dgeval.worlds.shape import solid_from_cloud
 
 # weight of a draw in which the recorded failure does not happen; ours
@@ -71,10 +72,9 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
     sd_turn = np.radians(float(np.clip(scene.sd_deg, SD_LEAST_DEG, SD_MOST_DEG)))
     probes: list[tuple[Twin, bool]] = []
     weights = np.zeros(0)
-    while len(probes) < PROBES or (
-        weights.sum() / weights.max() < draws and len(probes) < PROBES_MOST
-    ):
-        k = len(probes)
+    for k in range(PROBES_MOST):
+        if k >= PROBES and len(probes) and weights.sum() / weights.max() >= draws:
+            break
         rng = generator(seed, "verdict", k)
         wider = 1.0 if k < PROBES // 2 else 2.0
         dx, dy = rng.normal(0, wider * sd_m, 2)
@@ -85,7 +85,10 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
         offset = (float(dx), float(dy), float(turn))
         force = _force(scene.gripper, rng, k)
         twin = Twin(scene, solid, offset, float(friction), float(mass), force)
-        probes.append((twin, twin.approach()))
+        try:
+            probes.append((twin, twin.approach()))
+        except UnstableError:
+            continue
         off = np.array(
             [[t.mismatch / scene.gripper.mismatch_sd, t.strayed / STRAYED_SD] for t, _ in probes]
         )
@@ -94,9 +97,14 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
     asked: list[Draw] = []
     for k in sorted(range(len(probes)), key=lambda k: -weights[k])[: max(MOST, draws)]:
         twin, reproduced = probes[k]
-        asked.append(twin.ask(thresholds, reproduced, float(weights[k] / weights.max())))
+        try:
+            asked.append(twin.ask(thresholds, reproduced, float(weights[k] / weights.max())))
+        except UnstableError:
+            continue
         if len(asked) >= draws and len({d.verdict.failure_class for d in asked}) == 1:
             break
+    if not asked:
+        raise ValueError("the physics of this hand at this object is unstable in every draw")
     return Draws(tuple(asked), sum(reproduced for _, reproduced in probes) / len(probes), "twin")
 
 

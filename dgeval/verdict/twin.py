@@ -213,6 +213,7 @@ class Twin(HandOnHandle):
             pose[:3] += velocity * TIMESTEP
             if spin.any():
                 mujoco.mju_quatIntegrate(pose[3:], moving[3:], TIMESTEP)
+        self.check_stable()
         self.fly_to(pose)
 
     # what is asked

@@ -30,10 +30,23 @@ from dgeval.worlds.closing import (
 from dgeval.worlds.presenter import GRIP, GRIPPED_N, RELEASE_S
 from dgeval.worlds.scene import finger_forces, least_distance
 
+# MuJoCo's warnings after which it starts anew
+UNSTABLE = tuple(
+    int(k)
+    for k in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+)
 INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION  # the part of the state that is saved
 # Version of the rule in `CloseAndLift`. Recordings, shipped grasps and weights that name no version
 # were made with 1; docs/simulation.md, "Success", says what differed.
 SUCCESS_RULE = 2
+
+
+class UnstableError(Exception):
+    """The physics left the range of numbers; MuJoCo has put everything back to its start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +95,11 @@ class HandAndObject:
         out = np.empty(self._size)
         mujoco.mj_getState(self.model, self.data, out, INTEGRATION)
         return out
+
+    def check_stable(self) -> None:
+        """UnstableError where MuJoCo has met a huge value since the last reset."""
+        if any(self.data.warning[k].number for k in UNSTABLE):
+            raise UnstableError(self.gripper.name)
 
     def set_state(self, state: Array) -> None:
         """Restore a state. Call `mj_forward` to get its positions and contacts."""
@@ -201,6 +219,7 @@ class HandOnHandle(HandAndObject):
         for _ in range(round(CONTROL_S / step)):
             self.data.mocap_pos[self._handle] += twist[:3] * step
             mujoco.mj_step(self.model, self.data)
+        self.check_stable()
 
 
 class CloseAndLift:
@@ -212,7 +231,7 @@ class CloseAndLift:
     The close succeeds if, in every control period of the 1.0 s after the lift, the object is at
     least 0.10 m above where it stood (in a person's hand: where it was at the close), touches the
     hand, is within 0.15 m of the grasp centre, and is held by nobody else. A hand that has left the
-    object behind half-way up is given up early.
+    object behind half-way up is given up early. UnstableError where the physics became unstable.
 
     success: None until the outcome is certain. height m: the greatest rise so far.
     """

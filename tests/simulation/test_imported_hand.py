@@ -23,6 +23,7 @@ from dgeval.robots.urdf import CAMERA_FRAME, robot_urdf
 from dgeval.simulation.grasps import FlyingHand
 from dgeval.simulation.imported_hand import read_hand
 from dgeval.simulation.scenario import load_scenario, with_hand
+from dgeval.worlds.hand_and_object import CloseAndLift, UnstableError
 from dgeval.worlds.objects import ten_objects
 from tests.robots.urdf_texts import GRIPPER, PADS, box, follows, joint, robot
 from typer.testing import CliRunner
@@ -170,3 +171,31 @@ def test_a_strangers_log_tells_nothing(tmp_path: Path, jaw: Path) -> None:
     again = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "again"), "--jobs", "2"])
     sha = [json.loads(r.stdout)["trials"][0]["recording"]["sha256"] for r in (first, again)]
     assert sha[0] == sha[1]
+
+
+def test_physics_that_breaks_is_no_outcome(jaw: Path) -> None:
+    """Fails where MuJoCo's new start after a huge value counts as a grasp that did not hold."""
+    world = FlyingHand(ten_objects()["foam_brick"], read_hand(jaw))
+    world.put(np.eye(4), np.array([0.02]))
+    world.check_stable()
+    world.data.qvel[:] = 1e15
+    with pytest.raises(UnstableError):
+        CloseAndLift(world, np.array([0.02]), np.zeros(3)).finish()
+
+
+def test_a_trial_whose_physics_breaks_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fails where it is recorded, or counts as a failure without a class."""
+
+    def breaks(*_: object) -> None:
+        raise UnstableError("hand")
+
+    monkeypatch.setattr("dgeval.simulation.campaign._proved", breaks)
+    (tmp_path / "one.toml").write_text(SCENARIO)
+    done = CliRunner().invoke(
+        app, ["simulate", str(tmp_path / "one.toml"), "--out", str(tmp_path / "out")]
+    )
+    assert done.exit_code == 0, done.output
+    assert "left out, as their physics was unstable: foam_brick-000-0000" in done.output
+    assert not list((tmp_path / "out").glob("*.mcap"))
