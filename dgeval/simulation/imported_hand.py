@@ -22,8 +22,8 @@ ALIKE = 0.05
 PRESHAPED = 0.35  # share of the way to closed, at most, that a grasp starts from
 # the colour camera on the hand: beside the fingers, and looking along them; ours
 CAMERAS = 8  # places around the hand that are tried
-CAMERA_BESIDE_M, CAMERA_BEHIND_M = 0.10, 0.03
-CAMERA_LOOKS_M = 0.10  # before the grasp centre, which it still sees
+CAMERA_BESIDE_M, CAMERA_BEHIND_M = 0.10, 0.06
+CAMERA_LOOKS_M = 0.20  # before the grasp centre, which it still sees
 
 
 @dataclass(frozen=True, kw_only=True)
