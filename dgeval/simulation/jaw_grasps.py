@@ -10,7 +10,7 @@ from dgeval.determinism import generator
 from dgeval.geometry import Array, increment, invert, transform
 from dgeval.robots.hand import hand_for
 from dgeval.robots.mjcf import quat_wxyz
-from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle
+from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle, UnstableError
 from dgeval.worlds.objects import ObjectModel, at, surface_points
 from dgeval.worlds.scene import Camera, build
 
@@ -69,7 +69,10 @@ class FlyingJaw(HandOnHandle):
 
     def lifts(self) -> bool:
         """Close, lift, hold, shake; True if the object came along and stayed."""
-        return CloseAndLift(self, HAND.open, np.zeros(3), SHAKE).finish()
+        try:
+            return CloseAndLift(self, HAND.open, np.zeros(3), SHAKE).finish()
+        except UnstableError:
+            return False
 
 
 def between_fingers(points: Array, T_grasp_points: Array) -> int:

@@ -223,6 +223,8 @@ def load_scenario(name: str) -> Scenario:
     if unknown:
         known = ", ".join(Faults.__dataclass_fields__)
         raise UsageError(f"scenario: no fault {unknown[0]!r}", Place(str(path)), f"known: {known}")
+    if scenario.hand is not None:
+        return with_hand(scenario, path.parent / scenario.hand)
     return scenario
 
 

@@ -144,6 +144,15 @@ def test_vfas_has_its_own_gripper(jaw: Path) -> None:
         with_hand(load_scenario("turntable"), jaw)
 
 
+def test_a_scenario_may_name_its_hand(tmp_path: Path, jaw: Path) -> None:
+    """Fails where a network for another hand then proposes its grasps."""
+    named = SCENARIO.replace('"analytic"', f'"ffhnet"\nhand = "{jaw.name}"')
+    (tmp_path / "one.toml").write_text(named)
+    scenario = load_scenario(str(tmp_path / "one.toml"))
+    assert scenario.gripper.drives == ("jaw",)
+    assert scenario.grasps == "analytic"
+
+
 def test_a_strangers_log_tells_nothing(tmp_path: Path, jaw: Path) -> None:
     """Fails where a recording made to be a stranger's holds dgeval's topics, or another hand."""
     (tmp_path / "one.toml").write_text(SCENARIO)

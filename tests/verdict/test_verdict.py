@@ -39,6 +39,7 @@ from dgeval.verdict.draws import decide_scene
 from dgeval.verdict.evidence import Scene, of_hand
 from dgeval.verdict.log import Recorded, TrialLog
 from dgeval.verdict.twin import Twin
+from dgeval.worlds.hand_and_object import UnstableError
 from dgeval.worlds.objects import ObjectModel, surface_points, ten_objects
 from dgeval.worlds.shape import solid_from_cloud
 from mcap.reader import make_reader
@@ -248,6 +249,23 @@ def test_probabilities_are_shares(tmp_path: Path) -> None:
         _, said = verdict_on(tmp_path, Faults(close_shift=-2.0), method=method)
         assert abs(sum(said.probabilities) - 1) < 1e-9
         assert min(said.probabilities) >= 0
+
+
+def test_draws_whose_physics_breaks_say_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fails where MuJoCo's new start after a huge value counts as a grasp that failed."""
+
+    def breaks(_: Twin) -> bool:
+        raise UnstableError("hand")
+
+    campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
+    plan = Plan("t", "sugar_box", 0.08, 0.47, -0.2, 0.3, -0.2, Faults(close_shift=-2.0), 5, 0)
+    run, world = simulate(campaign, plan)
+    monkeypatch.setattr(Twin, "approach", breaks)
+    said = decide_scene(modelled(run, world), "twin", 3, 0, 0.0)
+    assert isinstance(said, Unknown)
+    assert "unstable in every draw" in said.reason
 
 
 def test_a_place_that_is_not_known_gives_no_class(tmp_path: Path) -> None:
