@@ -182,8 +182,9 @@ def test_a_strangers_log_tells_nothing(tmp_path: Path, jaw: Path) -> None:
     assert sha[0] == sha[1]
 
 
-def test_physics_that_breaks_is_no_outcome(jaw: Path) -> None:
+def test_physics_that_breaks_is_no_outcome(jaw: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fails where MuJoCo's new start after a huge value counts as a grasp that did not hold."""
+    monkeypatch.chdir(jaw.parent)  # where MuJoCo writes its warning
     world = FlyingHand(ten_objects()["foam_brick"], read_hand(jaw))
     world.put(np.eye(4), np.array([0.02]))
     world.check_stable()
