@@ -6,7 +6,7 @@ the same ones. A check that a team knows of is accepted by name (`checks.accept`
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from dgeval.recording.contract import (
 )
 from dgeval.recording.depth_unit import wrong_unit
 from dgeval.recording.events import Events
+from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.frozen import frozen_streams
 from dgeval.recording.joint_checks import joint_faults
@@ -38,6 +39,7 @@ from dgeval.recording.pairing import Pair, Window
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
+from dgeval.recording.scene_motion import CONTRADICTS, NOT_QUITE, scene_steps, seeming_motion
 from dgeval.recording.splits import unread_part
 
 PART_CHECK = "parts"
@@ -190,7 +192,13 @@ def failed_checks(
     assert roles.depth is not None
     approach = [p for p in window.pairs if close_ns is None or p.t_ns <= close_ns]
     seen = tuple(approach) if len(approach) >= SAMPLED else window.pairs
-    failed += _against_the_scene(reader, seen, scan.images[roles.depth].encoding != "32FC1")
+    sampled = _sampled(reader, seen)
+    failed += _against_the_scene(reader, sampled, scan.images[roles.depth].encoding != "32FC1")
+    notes = [note] if note else []
+    if not {c.name for c in failed} & {"camera_poses", "depth_unit"}:
+        against, note = _against_the_pictures(robot, sampled)
+        failed += against
+        notes += [note] if note else []
     if reader.camera.doubt:
         mend = "if so --set 'calibration.T_colour_depth=[0,0,0,0,0,0,1]', else the transform"
         failed.append(Check("cameras", reader.camera.doubt, mend))
@@ -199,7 +207,7 @@ def failed_checks(
             f"{roles.rival} is another camera, and its frame has the same name as {roles.colour}'s"
         )
         failed.append(Check("cameras", what, "name one: --set roles.colour=… and roles.depth=…"))
-    return failed, [note] if note else []
+    return failed, notes
 
 
 def _joints_without_states(robot: RobotStates) -> list[str]:
@@ -346,17 +354,21 @@ def part_check(recording: Path) -> list[Check]:
     ]
 
 
-def _against_the_scene(
-    reader: FrameReader, approach: tuple[Pair, ...], is_integer: bool
-) -> list[Check]:
-    """Whether the depth of a few frames can be metres, and the camera's poses those of its optical
-    frame.
-
-    approach: pairs before the hand lifts what it holds, which then moves with the camera.
+def _sampled(reader: FrameReader, approach: tuple[Pair, ...]) -> list[Frame]:
+    """A few frames of the pairs before the hand lifts what it holds, which then moves with the
+    camera.
     """
     at = np.unique(np.linspace(0, len(approach) - 1, SAMPLED).astype(int))
     pairs = tuple(approach[k] for k in at)
-    frames = list(replace(reader, pairs=pairs, lost=LostFrames([])).frames())
+    return list(replace(reader, pairs=pairs, lost=LostFrames([])).frames())
+
+
+def _against_the_scene(
+    reader: FrameReader, frames: Sequence[Frame], is_integer: bool
+) -> list[Check]:
+    """Whether the depth of a few frames can be metres, and the camera's poses those of its optical
+    frame.
+    """
     pairs_moved = moved_pairs(frames)
     found = wrong_unit(frames, pairs_moved)
     if found is None:
@@ -378,3 +390,23 @@ def _against_the_scene(
     proposed = near if abs(np.log(near / scale)) < NEAR_UNIT else scale
     mend = f"set calibration.depth_scale, in m per unit (probably {proposed:.2g})"
     return [Check("depth_unit", f"{what}{stated}", mend)]
+
+
+def _against_the_pictures(robot: RobotStates, frames: Sequence[Frame]) -> tuple[list[Check], str]:
+    """Whether the camera's poses fit what its pictures show, and a note, "" without, where they
+    hardly do.
+    """
+    share = seeming_motion(scene_steps(frames))
+    if share is None or share <= NOT_QUITE:
+        return [], ""
+    what = (
+        f"by the poses of {robot.camera_frame!r} what the pictures show moves along with the "
+        f"camera, by {share:.0%} of its way"
+    )
+    if share <= CONTRADICTS:
+        return [], f"{what}: the hand-eye calibration, a joint's scale or depth is not quite right"
+    mend = (
+        "are the pictures mirrored or turned, is the hand-eye calibration right, and have the "
+        "joints above the camera the description's names, signs and units?"
+    )
+    return [Check("camera_poses", what, mend)], ""

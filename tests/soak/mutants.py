@@ -893,6 +893,30 @@ MUTANTS = [
     ),
     # a stranger's log
     Mutant(
+        "dgeval/recording/scene_motion.py",
+        "np.minimum(still, np.linalg.norm(evenly - velocity * seconds, axis=1)) / moved",
+        "still / moved",
+        "tests/recording/test_scene_motion.py",
+    ),
+    Mutant(
+        "dgeval/recording/scene_motion.py",
+        "a, b = a[~with_camera], b[~with_camera]",
+        "a, b = a.copy(), b.copy()",
+        "tests/recording/test_scene_motion.py",
+    ),
+    Mutant(
+        "dgeval/recording/scene_motion.py",
+        "proper[:, 2] = np.sign(np.linalg.det(v @ ut))",
+        "proper[:, 2] = 1.0",
+        "tests/recording/test_scene_motion.py",
+    ),
+    Mutant(
+        "dgeval/recording/checks.py",
+        "    if share <= CONTRADICTS:\n",
+        "    if share <= 10 * CONTRADICTS:\n",
+        "tests/recording/test_scene_motion.py",
+    ),
+    Mutant(
         "dgeval/recording/camera_poses.py",
         "    if share > CONTRADICTS:\n",
         "    if share > 10 * CONTRADICTS:\n",

@@ -1,0 +1,170 @@
+"""Catches: pictures that contradict the camera's poses, which depth over a flat table does not.
+
+The scene is a textured plane, whose picture from any place is a homography, by closed form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from dgeval.geometry import Array, Intrinsics, increment, invert
+from dgeval.recording.frame import Frame
+from dgeval.recording.scene_motion import (
+    CONTRADICTS,
+    LEAST_STEPS,
+    NOT_QUITE,
+    scene_steps,
+    seeming_motion,
+)
+from tests.recording.recorders import COLOUR, DEPTH, Message, opened, write
+
+CAMERA = Intrinsics(320, 240, 290.0, 290.0, 159.5, 119.5)
+PERIOD_NS = 300_000_000
+STEPS = 9
+CELL_M = 0.004  # of the texture
+LOOKS_DOWN = increment(np.array([0.0, 0.0, 0.0, np.radians(160.0), 0.0, 0.3]))
+
+
+def texture(seed: int = 4) -> np.ndarray:
+    """(600, 600) of soft random blots; CELL_M a pixel."""
+    noise = np.random.default_rng(seed).normal(size=(600, 600)).astype(np.float32)
+    soft = cv2.GaussianBlur(noise, (0, 0), 2.5)
+    return cv2.normalize(soft, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+TEXTURE = texture()
+
+
+def camera_at(k: int) -> Array:
+    """T_base_camera, m: down and sideways, on a curve."""
+    T = LOOKS_DOWN.copy()
+    T[:3, 3] = [0.1 * np.sin(0.6 * k), 0.05 * k - 0.2, 0.75 - 0.04 * k]
+    return T
+
+
+def frame_of(k: int, shift: Array) -> Frame:
+    """Of the plane z = 0, whose texture has moved by `shift`, (2,) m."""
+    T = camera_at(k)
+    K = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1.0]])
+    T_camera_base = invert(T)
+    cells = np.array([[CELL_M, 0, shift[0] - 1.2], [0, CELL_M, shift[1] - 1.2], [0, 0, 1.0]])
+    to_camera = np.column_stack([T_camera_base[:3, 0], T_camera_base[:3, 1], T_camera_base[:3, 3]])
+    size = (CAMERA.width, CAMERA.height)
+    grey = cv2.warpPerspective(TEXTURE, K @ to_camera @ cells, size)
+    v, u = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    rays = CAMERA.backproject(u.ravel(), v.ravel(), np.ones(u.size)) @ T[:3, :3].T
+    depth = (-T[2, 3] / rays[:, 2]).reshape(v.shape).astype(np.float32)
+    colour = np.repeat(grey[:, :, None], 3, axis=2)
+    return Frame(k, k * PERIOD_NS, colour, depth, CAMERA, T, None, None, None)
+
+
+def frames(velocity: tuple[float, float] = (0.0, 0.0)) -> list[Frame]:
+    seconds = PERIOD_NS * 1e-9
+    return [frame_of(k, np.array(velocity) * k * seconds) for k in range(STEPS)]
+
+
+def said(listed: list[Frame]) -> float:
+    share = seeming_motion(scene_steps(listed))
+    assert share is not None
+    return share
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.05, 0.08)])
+def test_a_still_scene_and_a_belt_agree_with_right_poses(velocity: tuple[float, float]) -> None:
+    """Fails where a belt is called a wrong pose."""
+    assert said(frames(velocity)) < NOT_QUITE / 2
+
+
+def test_a_still_table_beside_a_moving_thing_agrees() -> None:
+    """Fails where some frames show the table and others the thing, whose mean nothing has."""
+    table, thing = frames(), frames((0.0, 0.1))
+    assert said([*table[:5], *thing[5:]]) < NOT_QUITE / 2
+
+
+def test_a_thing_that_the_hand_pushes_is_no_wrong_pose() -> None:
+    """Fails where the last half of an approach, which sees only what the hand pushes, counts."""
+    pushed = [frame_of(k, np.array([0.02 * (k - 5) ** 2, 0.0])) for k in range(5, STEPS)]
+    assert said([*frames()[:5], *pushed]) < NOT_QUITE
+
+
+def test_mirrored_pictures_are_told() -> None:
+    mirrored = [
+        replace(
+            f,
+            colour=np.ascontiguousarray(f.colour[:, ::-1]),
+            depth=np.ascontiguousarray(f.depth[:, ::-1]),
+        )
+        for f in frames()
+    ]
+    assert said(mirrored) > CONTRADICTS
+
+
+def test_an_axis_that_runs_the_other_way_is_told() -> None:
+    """As a joint's sign turned, or two joints swapped, makes of the camera's poses."""
+    wrong = []
+    for f in frames():
+        assert f.T_base_camera is not None
+        T = f.T_base_camera.copy()
+        T[0, 3] = -T[0, 3]
+        wrong.append(replace(f, T_base_camera=T))
+    assert said(wrong) > CONTRADICTS
+
+
+def test_depth_that_is_too_far_is_not_quite_right() -> None:
+    farther = [replace(f, depth=(f.depth + np.float32(0.08))) for f in frames()]
+    assert said(farther) > NOT_QUITE
+
+
+def test_a_hand_that_fills_half_of_the_picture_is_left_out() -> None:
+    """Fails where the texture of a glove, which moves with the camera, is taken for the scene."""
+    glove = texture(9)[: CAMERA.height // 2, : CAMERA.width]
+    listed = []
+    for f in frames():
+        colour, depth = f.colour.copy(), f.depth.copy()
+        colour[CAMERA.height // 2 :] = glove[:, :, None]
+        depth[CAMERA.height // 2 :] = 0.15
+        listed.append(replace(f, colour=colour, depth=depth))
+    assert said(listed) < NOT_QUITE / 2
+
+
+def test_a_camera_that_stands_still_says_nothing() -> None:
+    one = frames()[0]
+    still = [replace(one, t_ns=k * PERIOD_NS) for k in range(STEPS)]
+    assert len(scene_steps(still)) < LEAST_STEPS
+    assert seeming_motion(scene_steps(still)) is None
+
+
+def test_pictures_without_texture_or_depth_say_nothing() -> None:
+    plain = [replace(f, colour=np.full_like(f.colour, 90)) for f in frames()]
+    blind = [replace(f, depth=np.zeros_like(f.depth)) for f in frames()]
+    assert seeming_motion(scene_steps(plain)) is None
+    assert seeming_motion(scene_steps(blind)) is None
+
+
+def _mirrored(message: Message) -> Message:
+    """The same picture, its left side right."""
+    value = replace(message[3])
+    head = 12 if message[1] == DEPTH else 0
+    data = np.asarray(value.data, np.uint8)
+    pixels = cv2.imdecode(data[head:], cv2.IMREAD_UNCHANGED)[:, ::-1]
+    coded = cv2.imencode(".png", np.ascontiguousarray(pixels))[1].ravel()
+    value.data = np.concatenate([data[:head], coded])
+    value.format = value.format if head else "bgr8; png compressed bgr8"
+    return [*message[:3], value]
+
+
+def test_a_recording_with_mirrored_pictures_fails_its_check(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where every speed across the picture is wrong without a word, as after a driver's
+    `flip` parameter.
+    """
+    listed = [_mirrored(m) if m[1] in (COLOUR, DEPTH) else m for m in messages]
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    told = [c for c in trial.checks if c.name == "camera_poses"]
+    assert told
+    assert "mirrored" in told[0].mend
