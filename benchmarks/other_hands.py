@@ -3,7 +3,9 @@
 Failures are simulated with a hand of `benchmarks/hands`, physics first (see `benchmarks.verdict`):
 the hand of the truth is MuJoCo's import of the URDF, that of the verdict what the recorded
 description gives, with meshes and with capsules in their place. The same seeds with the five-finger
-hand by name stand beside. `--wrong` puts an error into the description alone.
+hand by name stand beside. `--wrong` puts an error into the description alone. `--per-class` works
+out the truth of trial after trial, of each scenario in turn, until there are so many failures of
+each class, and judges those.
 """
 
 from __future__ import annotations
@@ -14,9 +16,9 @@ import re
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import dgeval.worlds  # noqa: F401  # isort: skip  (it chooses how images are drawn before mujoco is imported)
 import numpy as np
@@ -86,8 +88,8 @@ WRONG: dict[str, Callable[[str], str]] = {
 
 @dataclass(frozen=True)
 class Job:
-    """One trial. hand: a file's stem, or BY_NAME. ways: of the description's solids. judged: also
-    say why it failed.
+    """One trial. hand: a file's stem, or BY_NAME. ways: of the description's solids. until: what is
+    worked out last: the outcome, the truth of a failure, or the verdict on it.
     """
 
     hand: str
@@ -97,7 +99,7 @@ class Job:
     ways: tuple[str, ...]
     wrong: str
     work: Path
-    judged: bool
+    until: Literal["outcome", "truth", "verdict"]
 
 
 def campaign_of(job: Job) -> Campaign:
@@ -118,7 +120,8 @@ def judge(job: Job) -> dict[str, Any]:
     try:
         return _judged(job)
     except UnstableError:
-        return {"hand": job.hand, "index": job.index, "unstable": True, "closed": False}
+        out = {"hand": job.hand, "scenario": Path(job.scenario).stem, "index": job.index}
+        return {**out, "unstable": True, "closed": False}
 
 
 def _judged(job: Job) -> dict[str, Any]:
@@ -130,7 +133,8 @@ def _judged(job: Job) -> dict[str, Any]:
     run = run_trial(plan, scenario, world, grasps_of(campaign, plan), perceiver)
     held = run.finish is not None and run.finish.success
     hand = scenario.gripper
-    out: dict[str, Any] = {"hand": job.hand, "index": job.index, "wrong": job.wrong}
+    out: dict[str, Any] = {"hand": job.hand, "scenario": scenario.name, "index": job.index}
+    out["wrong"] = job.wrong
     out |= {"object": plan.object, "closed": run.close is not None, "held": held}
     for way in job.ways:
         dirs = hand.mesh_dirs if isinstance(hand, ImportedHand) and way == "meshes" else ()
@@ -143,14 +147,14 @@ def _judged(job: Job) -> dict[str, Any]:
             continue
         out[way] = {"outcome": outcome_of(log, None).outcome, "log": log}
     truth = None
-    if job.judged and not held and len(run.ticks) >= MIN_TICKS:
+    if job.until != "outcome" and not held and len(run.ticks) >= MIN_TICKS:
         proved = prove(run, world, Thresholds())
         truth = proved.failure_class if proved.outcome == "failure" else None
     if truth is not None:
         out["truth"] = truth
     for way in job.ways:
         log = out[way].pop("log", None)
-        if truth is None or log is None:
+        if truth is None or log is None or job.until != "verdict":
             continue
         start = time.process_time()
         hindsight = hindsight_of_run(run, world, log, job.seed)
@@ -175,7 +179,7 @@ def tables(rows: list[dict[str, Any]], ways: tuple[str, ...]) -> str:
     """Markdown of one hand."""
     unstable = sum("unstable" in r for r in rows)
     closed = [r for r in rows if r["closed"]]
-    failed = [r for r in rows if "truth" in r]
+    failed = [r for r in rows if "truth" in r and "class" in r[ways[0]]]
     if not failed:
         return "\n".join(
             f"{way}: {sum((r[way]['outcome'] == 'success') == r['held'] for r in closed)} of "
@@ -208,15 +212,37 @@ def tables(rows: list[dict[str, Any]], ways: tuple[str, ...]) -> str:
     return "\n\n".join([table(head, lines), *left, *parts])
 
 
+def draw_until(
+    pool: ProcessPoolExecutor, jobs: list[Job], count: int, workers: int
+) -> tuple[list[dict[str, Any]], list[Job]]:
+    """The truth of trials in order until each class has `count` failures, and those to judge."""
+    rows: list[dict[str, Any]] = []
+    chosen: list[Job] = []
+    have = dict.fromkeys(CLASSES, 0)
+    for k in range(0, len(jobs), 4 * workers):
+        part = jobs[k : k + 4 * workers]
+        for job, row in zip(part, pool.map(judge, part), strict=True):
+            rows.append(row)
+            truth = row.get("truth")
+            if truth is not None and have[truth] < count:
+                have[truth] += 1
+                chosen.append(replace(job, until="verdict"))
+        if min(have.values()) >= count:
+            break
+    print(f"{len(rows)} trials: {have}", flush=True)
+    return rows, chosen
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     names = sorted(p.stem for p in HERE.glob("*.toml"))
     parser.add_argument("--hand", action="append", help=f"default: {', '.join(names)}, known")
-    parser.add_argument("--scenario", default="failures")
+    parser.add_argument("--scenario", action="append", help="default: failures")
     parser.add_argument("--seed", type=int, default=7300)
-    parser.add_argument("--trials", type=int, default=60)
+    parser.add_argument("--trials", type=int, default=60, help="of each scenario, at most")
+    parser.add_argument("--per-class", type=int, help="failures of each class to judge")
     parser.add_argument("--way", action="append", help="meshes, capsules; default: both")
     parser.add_argument("--wrong", default="right", choices=WRONG)
     parser.add_argument("--outcome-only", action="store_true")
@@ -234,17 +260,30 @@ def main() -> None:
             name = BY_NAME if known else hand
             ways = ("by name",) if known else tuple(options.way or ("meshes", "capsules"))
 
-            def job(index: int, name: str = name, ways: tuple[str, ...] = ways) -> Job:
-                common = (options.scenario, options.seed, index, ways, options.wrong)
-                return Job(name, *common, options.work, not options.outcome_only)
+            def job(
+                scenario: str,
+                index: int,
+                until: Any = "outcome" if options.outcome_only else "verdict",
+                name: str = name,
+                ways: tuple[str, ...] = ways,
+            ) -> Job:
+                common = (scenario, options.seed, index, ways, options.wrong)
+                return Job(name, *common, options.work, until)
 
+            scenarios = options.scenario or ["failures"]
             if not known:
-                list(pool.map(prepare, [job(k) for k in range(len(ten_objects()))]))
+                list(pool.map(prepare, [job(scenarios[0], k) for k in range(len(ten_objects()))]))
+            wanted = [job(s, k) for k in range(options.trials) for s in scenarios]
             rows = []
-            for row in pool.map(judge, [job(k) for k in range(options.trials)]):
-                rows.append(row)
+            if options.per_class:
+                first = [replace(j, until="truth") for j in wanted]
+                rows, wanted = draw_until(pool, first, options.per_class, options.jobs)
+            known_rows = {(r["scenario"], r["index"]): r for r in rows}
+            for row in pool.map(judge, wanted):
+                known_rows[row["scenario"], row["index"]] = row
                 file.write(json.dumps(row) + "\n")
                 file.flush()
+            rows = list(known_rows.values())
             parts.append(f"## {name}\n\n{tables(rows, ways)}")
     command = f"python -m benchmarks.other_hands --seed {options.seed} --trials {options.trials}"
     command += f" --wrong '{options.wrong}'" if options.wrong != "right" else ""
