@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os.path import commonpath
 
 import cv2
@@ -147,8 +147,7 @@ def _alignment(
         return Alignment(colour, colour, T), None
     used = _of_picture(model, depth_topic)
     is_rectified = used is not model.intrinsics
-    if not used.width * used.height:
-        used = Intrinsics(d.width, d.height, used.fx, used.fy, used.cx, used.cy)
+    used = _sized(used, d)
     lens = None if is_rectified else lens_of(model, used)[0]
     return Alignment(used, colour, T), lens
 
@@ -158,6 +157,13 @@ def _of_picture(model: CameraModel, topic: str) -> Intrinsics:
     if "rect" in topic.lower() and model.rectified is not None:
         return model.rectified
     return model.intrinsics
+
+
+def _sized(intrinsics: Intrinsics, head: ImageHead) -> Intrinsics:
+    """With the picture's size where none is stated."""
+    if intrinsics.width * intrinsics.height:
+        return intrinsics
+    return replace(intrinsics, width=head.width, height=head.height)
 
 
 def _intrinsics(
@@ -197,7 +203,7 @@ def _intrinsics(
                 "give --set 'calibration.intrinsics=[fx, fy, cx, cy]'",
             )
         notes.append(f"{info_topic} states no size: taken for that of {colour_topic}")
-        used = Intrinsics(head.width, head.height, used.fx, used.fy, used.cx, used.cy)
+        used = _sized(used, head)
     if head.width and (used.width, used.height) != (head.width, head.height):
         raise UsageError(
             f"{colour_topic} is {head.width}x{head.height}, and its camera_info {info_topic} is of "

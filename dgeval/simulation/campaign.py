@@ -382,9 +382,8 @@ def run_campaign(
             for k, result in enumerate(over(prove_trial, campaign, block)):
                 proved.append(result)
                 kind = result["verdict"]["failure_class"] or "success"
-                if result["verdict"]["outcome"] == "unknown":
-                    pass
-                elif not quota or quota.get(kind, 0) > 0:
+                is_known = result["verdict"]["outcome"] != "unknown"
+                if is_known and (not quota or quota.get(kind, 0) > 0):
                     chosen.append(result)
                     if quota:
                         quota[kind] -= 1

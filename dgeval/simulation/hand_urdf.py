@@ -148,8 +148,7 @@ class HandUrdf:
                 geom.solref, geom.solimp = [0.005, 1], [0.9, 0.98, 0.001, 0.5, 2]
             for joint in body.joints:
                 slides = int(joint.type == mujoco.mjtJoint.mjJNT_SLIDE)
-                # one number in MuJoCo 3, three in 4
-                joint.damping = np.resize(DAMPING[slides], np.shape(joint.damping))
+                joint.damping = [DAMPING[slides], 0, 0]
                 joint.armature, joint.frictionloss = ARMATURE[slides], FRICTION[slides]
                 if joint.name in coupled and not slides:
                     joint.armature = LINKAGE_KGM2

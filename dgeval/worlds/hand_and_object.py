@@ -39,6 +39,8 @@ UNSTABLE = tuple(
         mujoco.mjtWarning.mjWARN_BADQACC,
     )
 )
+# else MuJoCo writes each into a file where the program was started; `check_stable` reads its counts
+mujoco.set_mju_user_warning(lambda text: None)
 INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION  # the part of the state that is saved
 # Version of the rule in `CloseAndLift`. Recordings, shipped grasps and weights that name no version
 # were made with 1; docs/simulation.md, "Success", says what differed.

@@ -62,6 +62,14 @@ def test_a_files_hand(jaw: Path) -> None:
     assert hand.centre == pytest.approx([0, 0, 0.085], abs=0.03)
 
 
+def test_joints_are_damped_by_their_speed_alone(jaw: Path) -> None:
+    """Fails where MuJoCo's terms of the square and cube are set too, which break quick hands."""
+    hand = read_hand(jaw)
+    world = FlyingHand(ten_objects()["foam_brick"], hand)
+    assert world.model.dof_damping[world.finger_dof] == pytest.approx([12.0, 12.0])
+    assert not world.model.dof_dampingpoly.any()
+
+
 def test_the_camera_sees_what_is_held(jaw: Path) -> None:
     """Fails where the grasp centre is outside of the picture of 42 degrees, or behind it."""
     hand = read_hand(jaw)
@@ -184,13 +192,14 @@ def test_a_strangers_log_tells_nothing(tmp_path: Path, jaw: Path) -> None:
 
 def test_physics_that_breaks_is_no_outcome(jaw: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fails where MuJoCo's new start after a huge value counts as a grasp that did not hold."""
-    monkeypatch.chdir(jaw.parent)  # where MuJoCo writes its warning
+    monkeypatch.chdir(jaw.parent)
     world = FlyingHand(ten_objects()["foam_brick"], read_hand(jaw))
     world.put(np.eye(4), np.array([0.02]))
     world.check_stable()
     world.data.qvel[:] = 1e15
     with pytest.raises(UnstableError):
         CloseAndLift(world, np.array([0.02]), np.zeros(3)).finish()
+    assert not Path("MUJOCO_LOG.TXT").exists()  # MuJoCo's own, in a user's folder
 
 
 def test_a_trial_whose_physics_breaks_is_left_out(
