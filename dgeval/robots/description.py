@@ -9,6 +9,8 @@ import numpy as np
 
 from dgeval.geometry import IDENTITY, Array, rotation_about
 
+Kind = Literal["box", "capsule", "cylinder", "sphere", "hull"]
+
 
 @dataclass(frozen=True, slots=True)
 class LinkShape:
@@ -20,7 +22,7 @@ class LinkShape:
     """
 
     link: str
-    kind: Literal["box", "capsule", "cylinder", "sphere", "hull"]
+    kind: Kind
     T_link_shape: Array
     size: tuple[float, ...] = ()
     hull: Array | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,67 +10,100 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
-from dgeval.robots.description import Joint, LinkShape
+from dgeval.robots.description import Joint, Kind, LinkShape
 
 if TYPE_CHECKING:
     import yourdfpy
 
 LEAST_M = 1e-6  # m; nearer than that two places are one
+# what trimesh's readers raise of files that are not what their names say
+UNREADABLE = (
+    AssertionError, AttributeError, ImportError, LookupError, OSError, SyntaxError, TypeError,
+    ValueError, struct.error,
+)  # fmt: skip
+MOST_M = 5.0  # m; a mesh that reaches farther is in mm or cm
 
 
-def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[LinkShape], bool]:
-    """Shapes of a link, and whether a mesh of it is missing; the visuals where it has no
+class UnusableMeshError(Exception):
+    """A mesh that gives no solid: its file's name and why."""
+
+
+def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[LinkShape], list[str]]:
+    """Shapes of a link, and what gives none, each with the reason; the visuals where it has no
     collisions.
     """
     out: list[LinkShape] = []
-    missing = False
+    unusable: list[str] = []
     for element in link.collisions or link.visuals:
         T = np.eye(4) if element.origin is None else np.asarray(element.origin, dtype=np.float64)
         g = element.geometry
+        solid: tuple[Kind, tuple[float, ...], float] | None = None
         if g.box is not None:
             half = tuple(float(s) / 2 for s in g.box.size)
-            out.append(LinkShape(link.name, "box", T, half, bound=float(np.linalg.norm(half))))
+            solid = "box", half, float(np.linalg.norm(half))
         elif g.sphere is not None:
-            out.append(
-                LinkShape(
-                    link.name, "sphere", T, (float(g.sphere.radius),), bound=float(g.sphere.radius)
-                )
-            )
+            r = float(g.sphere.radius)
+            solid = "sphere", (r,), r
         elif g.cylinder is not None:
             r, h = float(g.cylinder.radius), float(g.cylinder.length) / 2
-            out.append(LinkShape(link.name, "cylinder", T, (r, h), bound=float(np.hypot(r, h))))
+            solid = "cylinder", (r, h), float(np.hypot(r, h))
         elif g.mesh is not None:
-            hull = _mesh_hull(g.mesh, mesh_dirs)
-            if hull is None:
-                missing = True
-            else:
-                planes, bound, corners = hull
-                out.append(LinkShape(link.name, "hull", T, (), planes, bound, corners))
-    return out, missing
+            try:
+                planes, bound, corners = _mesh_hull(g.mesh, mesh_dirs)
+            except UnusableMeshError as error:
+                unusable.append(str(error))
+                continue
+            out.append(LinkShape(link.name, "hull", T, (), planes, bound, corners))
+        if solid is not None:
+            kind, size, bound = solid
+            if min(size) <= 0:
+                unusable.append(f"a {kind} of size 0")
+                continue
+            out.append(LinkShape(link.name, kind, T, size, bound=bound))
+    return out, unusable
 
 
-def _mesh_hull(mesh: Any, mesh_dirs: tuple[str, ...]) -> tuple[Array, float, Array] | None:
+def _mesh_hull(mesh: Any, mesh_dirs: tuple[str, ...]) -> tuple[Array, float, Array]:
     """Planes (n, 4) of a mesh's convex hull, its largest distance from the origin, m, and corners.
 
-    None if the mesh's file is not there.
+    UnusableMeshError where its file is not there, can't be read, or spans no volume.
     """
     import trimesh
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
-    name = mesh.filename.removeprefix("file://")
+    path = _mesh_file(mesh.filename, mesh_dirs)
+    if path is None:
+        raise UnusableMeshError(f"{Path(mesh.filename).name} is not found")
+    try:
+        loaded: Any = trimesh.load(path, force="mesh")
+        vertices = np.asarray(loaded.vertices, dtype=np.float64)
+    except UNREADABLE as error:
+        raise UnusableMeshError(f"{path.name} can't be read ({error})") from None
+    if mesh.scale is not None:
+        vertices = vertices * np.asarray(mesh.scale)
+    if not len(vertices):
+        raise UnusableMeshError(f"{path.name} holds no mesh")
+    if not np.isfinite(vertices).all():
+        raise UnusableMeshError(f"{path.name} has numbers that are none")
+    bound = float(np.linalg.norm(vertices, axis=1).max())
+    if bound > MOST_M:
+        raise UnusableMeshError(f"{path.name} reaches {bound:.3g} m: is its unit the metre?")
+    try:
+        hull = ConvexHull(vertices)
+    except (QhullError, ValueError):
+        raise UnusableMeshError(f"{path.name} spans no volume") from None
+    return hull.equations, bound, vertices[hull.vertices]
+
+
+def _mesh_file(filename: str, mesh_dirs: tuple[str, ...]) -> Path | None:
+    """The first file of that name, or of the end of its path, in the folders; else by its path."""
+    name = filename.removeprefix("file://")
     parts = Path(name.removeprefix("package://")).parts
-    for folder in (*mesh_dirs, ""):
+    for folder in mesh_dirs:
         for i in range(len(parts)):
-            path = Path(folder).joinpath(*parts[i:]) if folder else Path(name)
-            if path.is_file():
-                loaded: Any = trimesh.load(path, force="mesh")
-                vertices = np.asarray(loaded.vertices) * (
-                    np.asarray(mesh.scale) if mesh.scale is not None else 1.0
-                )
-                hull = ConvexHull(vertices)
-                bound = float(np.linalg.norm(vertices, axis=1).max())
-                return hull.equations, bound, vertices[hull.vertices]
-    return None
+            if (path := Path(folder).joinpath(*parts[i:])).is_file():
+                return path
+    return Path(name) if Path(name).is_file() else None
 
 
 def capsules_of(

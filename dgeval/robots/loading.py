@@ -15,15 +15,17 @@ from dgeval.robots.link_shapes import capsules_of, shapes_of
 # By joint: the joint that it follows, which follows no other, the factor and the offset.
 Coupling = dict[str, tuple[str, float, float]]
 
+MOST_NAMED = 3  # shapes in a note
+
 
 def load_description(
     text: str, source: str, mesh_dirs: tuple[str, ...], radius: float
 ) -> Description:
     """Parse URDF text.
 
-    Links whose meshes are missing get capsules from joint to joint of the given radius, m. source:
-    where the text comes from, for messages. UsageError if the text is not a URDF or holds numbers
-    that are not finite.
+    Links whose meshes and primitives give no solid get capsules from joint to joint of the given
+    radius, m. source: where the text comes from, for messages. UsageError if the text is not a URDF
+    or holds numbers that are not finite.
     """
     import yourdfpy
 
@@ -65,15 +67,17 @@ def load_description(
                 Place(source),
             )
     shapes = {}
-    substituted = []
+    substituted: list[str] = []
+    unusable: list[str] = []
     mass_centres = {
         link.name: np.asarray(link.inertial.origin, dtype=np.float64)[:3, 3]
         for link in robot.robot.links
         if link.inertial is not None and link.inertial.origin is not None
     }
     for link in robot.robot.links:
-        link_shapes, missing = shapes_of(link, mesh_dirs)
-        if missing and not link_shapes:
+        link_shapes, lacking = shapes_of(link, mesh_dirs)
+        unusable += [f"{what} (link {link.name})" for what in lacking]
+        if lacking and not link_shapes:
             link_shapes = capsules_of(link.name, joints, mass_centres.get(link.name), radius)
             substituted.append(link.name)
         if not all(np.isfinite(s.T_link_shape).all() and np.isfinite(s.bound) for s in link_shapes):
@@ -82,10 +86,13 @@ def load_description(
                 Place(source),
             )
         shapes[link.name] = link_shapes
-    if substituted:
+    if unusable:
+        named = ", ".join(unusable[:MOST_NAMED])
+        named += f" and {len(unusable) - MOST_NAMED} more" if len(unusable) > MOST_NAMED else ""
+        stand_in = ", ".join(sorted(substituted)) or "none"
         notes.append(
-            "meshes not found, capsules from joint origins stand in: "
-            f"{', '.join(sorted(substituted))}"
+            f"{len(unusable)} shapes give no solid: {named}; capsules from joint origins stand in "
+            f"for: {stand_in}; give calibration.mesh_dirs"
         )
     return Description(joints, shapes, notes, mass_centres, radius)
 

@@ -4,6 +4,8 @@ its geometry; a described hand that can't hold what it should, or holds what it 
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from dgeval.geometry import Array
@@ -129,3 +131,34 @@ def test_coupled_jaws_move_alike() -> None:
     assert len(couples) == 1
     data: Array = model.eq_data[couples[0]]
     assert data[:2] == pytest.approx([0.0, 1.0])
+
+
+MESH_TEXTS = {
+    "pointer.stl": "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 1234\n",
+    "flat.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+    "empty.obj": "",
+    "other.dae": "<a/>",
+    "nan.obj": "v nan 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n",
+    "mm.obj": "v 0 0 0\nv 80 0 0\nv 0 80 0\nv 0 0 80\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n",
+}
+
+
+@pytest.mark.parametrize("name", [*MESH_TEXTS, "absent.stl"])
+def test_a_mesh_that_gives_no_solid_is_told_with_its_link(tmp_path: Path, name: str) -> None:
+    """Fails where a broken file ends the run, or gives a hand of 80 m, or one without a finger."""
+    if name in MESH_TEXTS:
+        (tmp_path / name).write_text(MESH_TEXTS[name])
+    mesh = f'<collision><geometry><mesh filename="package://m/{name}"/></geometry></collision>'
+    text = robot(GRIPPER, {**PADS, "left": mesh})
+    description = load_description(text, "a.urdf", (str(tmp_path),), 0.01)
+    assert f"{name} " in description.notes[0]
+    assert "(link left)" in description.notes[0]
+    assert {s.kind for s in description.shapes["left"]} <= {"capsule", "sphere"}
+    assert description.shapes["left"]
+
+
+def test_a_primitive_without_a_size_is_told() -> None:
+    text = robot(GRIPPER, {**PADS, "left": box("0.02 0 0.05")})
+    description = load_description(text, "a.urdf", (), 0.01)
+    assert "a box of size 0 (link left)" in description.notes[0]
+    assert {s.kind for s in description.shapes["left"]} <= {"capsule", "sphere"}

@@ -893,6 +893,24 @@ MUTANTS = [
     ),
     # a stranger's log
     Mutant(
+        "dgeval/robots/link_shapes.py",
+        "    if bound > MOST_M:\n",
+        "    if bound > 1e6 * MOST_M:\n",
+        "tests/robots/test_described_hand.py",
+    ),
+    Mutant(
+        "dgeval/robots/link_shapes.py",
+        "            if min(size) <= 0:\n",
+        "            if min(size) < 0:\n",
+        "tests/robots/test_described_hand.py",
+    ),
+    Mutant(
+        "dgeval/simulation/hand_urdf.py",
+        "joint.damping = [DAMPING[slides], 0, 0]",
+        "joint.damping = [DAMPING[slides]] * 3",
+        "tests/simulation/test_imported_hand.py",
+    ),
+    Mutant(
         "dgeval/recording/scene_motion.py",
         "np.minimum(still, np.linalg.norm(evenly - velocity * seconds, axis=1)) / moved",
         "still / moved",
