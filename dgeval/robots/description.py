@@ -18,7 +18,8 @@ class LinkShape:
 
     size, m: box half lengths; capsule, cylinder (radius, half length along z); sphere (radius,).
     hull: planes of a mesh's convex hull, rows n_x n_y n_z d with n·p + d <= 0 inside. corners
-    (n, 3) m: of the hull. bound, m: no point of the solid is further from the shape's origin.
+    (n, 3) m: of the hull. mesh: its vertices (m, 3) m and faces (k, 3). bound, m: no point of the
+    solid is further from the shape's origin.
     """
 
     link: str
@@ -28,6 +29,7 @@ class LinkShape:
     hull: Array | None = None
     bound: float = 0.0
     corners: Array | None = None
+    mesh: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dgeval.geometry import Array, transform
+from dgeval.robots.convex_pieces import MOST_CORNERS, convex_pieces
 from dgeval.robots.description import LinkShape
 
 if TYPE_CHECKING:
     import mujoco
 
 AROUND = 12  # points around a cylinder's or capsule's ends
-MOST_CORNERS = 64  # of a hull in physics
 
 
 def surface_points(shape: LinkShape, in_link: bool = True) -> Array:
@@ -37,6 +38,18 @@ def surface_points(shape: LinkShape, in_link: bool = True) -> Array:
     return transform(shape.T_link_shape, points) if in_link else points
 
 
+def _solids(shapes: list[LinkShape]) -> Iterator[tuple[LinkShape, Array | None]]:
+    """Each solid, and the corners (n, 3) m of a convex one that is no primitive."""
+    for shape in shapes:
+        if shape.kind != "hull":
+            yield shape, None
+        elif shape.mesh is None:
+            yield shape, shape.corners
+        else:
+            for corners in convex_pieces(*shape.mesh):
+                yield shape, corners
+
+
 def add_solids(
     spec: mujoco.MjSpec,
     body: mujoco.MjsBody,
@@ -56,13 +69,12 @@ def add_solids(
         "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
         "hull": mujoco.mjtGeom.mjGEOM_MESH,
     }
-    for k, shape in enumerate(shapes):
+    for k, (shape, corners) in enumerate(_solids(shapes)):
         label = f"{name}_{k}"
         geom = body.add_geom(type=kinds[shape.kind], name=label)
-        if shape.kind == "hull":
-            assert shape.corners is not None
+        if corners is not None:
             mesh = spec.add_mesh(name=label)
-            mesh.uservert = shape.corners.ravel()
+            mesh.uservert = corners.ravel()
             mesh.maxhullvert = MOST_CORNERS
             geom.meshname = label
         else:

@@ -49,11 +49,9 @@ def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Lin
             solid = "cylinder", (r, h), float(np.hypot(r, h))
         elif g.mesh is not None:
             try:
-                planes, bound, corners = _mesh_hull(g.mesh, mesh_dirs)
+                out.append(_mesh_hull(link.name, T, g.mesh, mesh_dirs))
             except UnusableMeshError as error:
                 unusable.append(str(error))
-                continue
-            out.append(LinkShape(link.name, "hull", T, (), planes, bound, corners))
         if solid is not None:
             kind, size, bound = solid
             if min(size) <= 0:
@@ -63,8 +61,8 @@ def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Lin
     return out, unusable
 
 
-def _mesh_hull(mesh: Any, mesh_dirs: tuple[str, ...]) -> tuple[Array, float, Array]:
-    """Planes (n, 4) of a mesh's convex hull, its largest distance from the origin, m, and corners.
+def _mesh_hull(link: str, T_link_shape: Array, mesh: Any, mesh_dirs: tuple[str, ...]) -> LinkShape:
+    """A mesh's convex hull, which keeps the mesh.
 
     UnusableMeshError where its file is not there, can't be read, or spans no volume.
     """
@@ -77,6 +75,7 @@ def _mesh_hull(mesh: Any, mesh_dirs: tuple[str, ...]) -> tuple[Array, float, Arr
     try:
         loaded: Any = trimesh.load(path, force="mesh")
         vertices = np.asarray(loaded.vertices, dtype=np.float64)
+        faces = np.asarray(loaded.faces)
     except UNREADABLE as error:
         raise UnusableMeshError(f"{path.name} can't be read ({error})") from None
     if mesh.scale is not None:
@@ -92,7 +91,10 @@ def _mesh_hull(mesh: Any, mesh_dirs: tuple[str, ...]) -> tuple[Array, float, Arr
         hull = ConvexHull(vertices)
     except (QhullError, ValueError):
         raise UnusableMeshError(f"{path.name} spans no volume") from None
-    return hull.equations, bound, vertices[hull.vertices]
+    corners = vertices[hull.vertices]
+    return LinkShape(
+        link, "hull", T_link_shape, (), hull.equations, bound, corners, (vertices, faces)
+    )
 
 
 def _mesh_file(filename: str, mesh_dirs: tuple[str, ...]) -> Path | None:

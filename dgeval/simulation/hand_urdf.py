@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+import trimesh
 from lxml import etree
 from pydantic import BaseModel, ConfigDict, Field
 
 from dgeval.errors import Place, UsageError
-from dgeval.geometry import matrix_from_pose
+from dgeval.geometry import Array, matrix_from_pose
 from dgeval.robots.hand import BASE
 from dgeval.robots.mjcf import place
 from dgeval.robots.urdf import CAMERA_FRAME, FLANGE, fixed
@@ -34,6 +35,9 @@ READ_BY_MUJOCO = (".stl", ".obj", ".msh")
 DAMPING, ARMATURE, FRICTION = (0.03, 12.0), (3e-4, 0.15), (0.01, 0.5)
 # kg m^2, of a joint of a linkage: with less, its contacts become unstable
 LINKAGE_KGM2 = 1e-3
+# Parts of a mesh that fills less than that share of its hull: finer than the twin's
+FILLS, MOST_PARTS, PART_VOXELS = 0.98, 16, 20000
+FLAT_M = 1e-4  # spread of a part's corners across, of one that is left out: MuJoCo refuses it
 FORCE = (0.9, 25.0)  # Nm, N, of a drive whose file states none
 ALL_FORCE_AT = (0.2, 0.006)  # rad, m, of position error, at which a drive gives all its force
 
@@ -141,6 +145,7 @@ class HandUrdf:
         coupled = {name for e in spec.equalities for name in (e.name1, e.name2)}
         for body in spec.bodies[1:]:
             body.gravcomp = 1
+            _take_apart(spec, body)
             for k, geom in enumerate(body.geoms):
                 geom.name = f"{self.finger_of[body.name]}_{body.name}_{k}"
                 geom.contype, geom.conaffinity, geom.condim, geom.priority = 2, 1, 4, 1
@@ -212,6 +217,38 @@ class HandUrdf:
             kept = etree.fromstring(etree.tostring(element))
             listed.append(str(etree.tostring(kept, encoding="unicode", with_tail=False)))
         return listed
+
+
+def _take_apart(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+    """Put convex parts in the place of each mesh, which MuJoCo would take for its hull."""
+    for geom in list(body.geoms):
+        if geom.type != mujoco.mjtGeom.mjGEOM_MESH:
+            continue
+        asset = spec.mesh(geom.meshname)
+        parts = _parts(asset.file, tuple(asset.scale))
+        if len(parts) == 1:
+            continue
+        for k, vertices in enumerate(parts):
+            name = f"{body.name}_{geom.meshname}_part_{k}"
+            spec.add_mesh(name=name, uservert=vertices.ravel())
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=geom.pos, quat=geom.quat
+            )
+        spec.delete(geom)
+
+
+@lru_cache(maxsize=128)
+def _parts(file: str, scale: tuple[float, ...]) -> tuple[Array, ...]:
+    """Corners (n, 3) m of the convex parts of a mesh's file; one part where it is convex."""
+    mesh: Any = trimesh.load(file, force="mesh")
+    mesh.apply_scale(scale)
+    if not mesh.is_volume or mesh.is_convex or mesh.volume > FILLS * mesh.convex_hull.volume:
+        return (np.asarray(mesh.vertices),)
+    found = trimesh.decomposition.convex_decomposition(
+        mesh, maxConvexHulls=MOST_PARTS, resolution=PART_VOXELS
+    )
+    parts = [np.asarray(part["vertices"], dtype=np.float64) for part in found]
+    return tuple(p for p in parts if np.linalg.svd(p - p.mean(axis=0))[1][2] > FLAT_M)
 
 
 def part_of(path: Path, file: HandFile) -> HandUrdf:

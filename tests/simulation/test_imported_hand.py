@@ -25,6 +25,7 @@ from dgeval.simulation.imported_hand import read_hand
 from dgeval.simulation.scenario import load_scenario, with_hand
 from dgeval.worlds.hand_and_object import CloseAndLift, UnstableError
 from dgeval.worlds.objects import ten_objects
+from tests.robots.test_convex_pieces import bracket
 from tests.robots.urdf_texts import GRIPPER, PADS, box, follows, joint, robot
 from typer.testing import CliRunner
 
@@ -60,6 +61,20 @@ def test_a_files_hand(jaw: Path) -> None:
     assert (hand.open, hand.targets(1.0, hand.open)) == (0.04, 0.0)
     assert hand.positions(np.array([0.03])) == pytest.approx([0.03, 0.03])
     assert hand.centre == pytest.approx([0, 0, 0.085], abs=0.03)
+
+
+def test_a_mesh_with_a_notch_is_taken_apart(tmp_path: Path, jaw: Path) -> None:
+    """Fails where the truth's finger is its hull, which MuJoCo takes for a mesh."""
+    finger = bracket()
+    finger.export(tmp_path / "finger.stl")
+    mesh = '<collision><geometry><mesh filename="finger.stl"/></geometry></collision>'
+    (tmp_path / "robot.urdf").write_text(robot(GRIPPER, {**PADS, "left": mesh}))
+    model = FlyingHand(ten_objects()["foam_brick"], read_hand(jaw)).model
+    names = [model.geom(k).name for k in range(model.ngeom)]
+    parts = [k for k, n in enumerate(names) if n.startswith("left_")]
+    assert len(parts) >= 2
+    middles = np.array([model.geom_pos[k] for k in parts])
+    assert np.ptp(middles, axis=0).max() > 0.02
 
 
 def test_joints_are_damped_by_their_speed_alone(jaw: Path) -> None:

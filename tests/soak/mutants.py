@@ -893,6 +893,18 @@ MUTANTS = [
     ),
     # a stranger's log
     Mutant(
+        "dgeval/robots/convex_pieces.py",
+        "mesh.volume >= CONVEX * hull.volume",
+        "mesh.volume >= 0.0 * CONVEX",
+        "tests/robots/test_convex_pieces.py",
+    ),
+    Mutant(
+        "dgeval/simulation/hand_urdf.py",
+        "            _take_apart(spec, body)\n",
+        "            _ = body\n",
+        "tests/simulation/test_imported_hand.py",
+    ),
+    Mutant(
         "dgeval/robots/link_shapes.py",
         "    if bound > MOST_M:\n",
         "    if bound > 1e6 * MOST_M:\n",
