@@ -81,11 +81,14 @@ def _draw_hand(path: Path, config: Config, out: Path) -> None:
     from dgeval.report.hand_picture import write_hand_picture
     from dgeval.robots.described_hand import DescribedHand
 
-    hand = open_trial(find_trials([path])[0], config).robot.hand_by_description
+    robot = open_trial(find_trials([path])[0], config).robot
+    hand = robot.hand_by_description
     if not isinstance(hand, DescribedHand):
         raise UsageError(f"no hand to draw: {hand}", Place(str(path)), "docs/hands.md")
     write_hand_picture(hand, out)
     typer.echo(f"{out}: {hand.told}")
+    for note in robot.description.notes if robot.description is not None else ():
+        typer.echo(f"note: {note}")
 
 
 def _print(inspection: dict[str, Any]) -> None:

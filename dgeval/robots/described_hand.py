@@ -52,7 +52,7 @@ class DescribedHand(Hand):
     @property
     def told(self) -> str:
         """What it is, for a person."""
-        count = len(self.geometry.links.fingers)
+        count = len(self.geometry.tips)
         fingers = "one finger" if count == 1 else f"{count} fingers"
         solids = ", as capsules" if self.without_solids else ""
         return f"{fingers} on {self.geometry.links.base!r}{solids}, by the description alone"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -10,6 +11,9 @@ import numpy as np
 from dgeval.geometry import IDENTITY, Array, rotation_about
 
 Kind = Literal["box", "capsule", "cylinder", "sphere", "hull"]
+
+BESIDE = 0.5  # of a crank's length; a bar of its linkage hangs nearer beside it; ours
+PARALLEL = 0.99  # cosine between the axes of a crank and its bar; ours
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,3 +114,45 @@ class Description:
             if not more:
                 return sorted(out)
             out |= more
+
+
+def crank_beside(joints: Mapping[str, Joint], link: str) -> Array | None:
+    """The crank that a bar of a linkage runs along, (3,) m in the bar's frame where no joint has
+    moved; None for a link that is no such bar.
+
+    A gripper whose pads stay parallel has one on each side. In a tree the bar is a link without
+    a joint below, which hangs close beside another on the same link, about the same axis, and moves
+    only as that one does: from that one's joint to the next on its finger it is as long.
+    """
+    own = joints.get(link)
+    if own is None or own.kind != "revolute" or _next_joints(joints, link):
+        return None
+    for other in sorted(joints):
+        joint = joints[other]
+        coupled = joint.follows == own.follows and other != link and joint.parent == own.parent
+        if not coupled or joint.kind != "revolute":
+            continue
+        ahead = _next_joints(joints, other)
+        apart = float(np.linalg.norm(joint.origin[:3, 3] - own.origin[:3, 3]))
+        axis, axis_other = own.origin[:3, :3] @ own.axis, joint.origin[:3, :3] @ joint.axis
+        near = len(ahead) == 1 and apart < BESIDE * float(np.linalg.norm(ahead[0]))
+        if near and abs(float(axis @ axis_other)) > PARALLEL:
+            return np.asarray(own.origin[:3, :3].T @ joint.origin[:3, :3] @ ahead[0])
+    return None
+
+
+def _next_joints(joints: Mapping[str, Joint], link: str) -> list[Array]:
+    """(3,) m each, link frame: where the next joints that move hang, on the link or on links that
+    are fixed to it.
+    """
+    T_by_link = {link: IDENTITY}
+    found: list[Array] = []
+    fixed = [link]
+    for above in fixed:
+        for child in sorted(c for c, joint in joints.items() if joint.parent == above):
+            T_by_link[child] = T_by_link[above] @ joints[child].origin
+            if joints[child].kind == "fixed":
+                fixed.append(child)
+            else:
+                found.append(T_by_link[child][:3, 3])
+    return found

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from dgeval.geometry import Array, invert, transform
-from dgeval.robots.description import Description, Joint, LinkShape
+from dgeval.robots.description import Description, Joint, LinkShape, crank_beside
 from dgeval.robots.hand_links import HandLinks, poses
 from dgeval.robots.hand_solids import surface_points
 
@@ -65,11 +65,30 @@ class HandGeometry:
     @cached_property
     def tips(self) -> tuple[tuple[str, Array], ...]:
         """Of each finger the link that reaches farthest from the palm, and the tip in that link's
-        frame (3,) m. A chain that reaches much less far than others is a bar of a linkage.
+        frame (3,) m. A finger that parts has several. A bar of a linkage is no finger; nor is a
+        chain that reaches much less far than others.
         """
-        found = [self._tip(finger) for finger in self.links.fingers]
+        joints = self.description.joints
+        ends = [end for finger in self.links.fingers for end in self._ends(finger)]
+        bars = {end for end in ends for link in end if crank_beside(joints, link) is not None}
+        found = [self._tip(end) for end in ends if end not in bars]
         most = max(reach for reach, _, _ in found)
         return tuple((link, tip) for reach, link, tip in found if reach > BAR * most)
+
+    def _ends(self, finger: tuple[str, ...]) -> list[tuple[str, ...]]:
+        """For each last joint that moves of a finger, the links from the palm to it and what is
+        fixed to them.
+        """
+        joints = self.description.joints
+        moving: dict[str, tuple[str, ...]] = {}  # by link: those from the palm to it that move
+        for link in finger:
+            above = moving.get(joints[link].parent, ())
+            moving[link] = above if joints[link].kind == "fixed" else (*above, link)
+        ways = dict.fromkeys(moving.values())
+        whole = [w for w in ways if not any(o[: len(w)] == w for o in ways if o != w)]
+        return [
+            tuple(link for link in finger if moving[link] == w[: len(moving[link])]) for w in whole
+        ]
 
     def _tip(self, finger: tuple[str, ...]) -> tuple[float, str, Array]:
         at = self.poses(self.open)

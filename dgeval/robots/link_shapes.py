@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgeval.geometry import Array
-from dgeval.robots.description import Joint, Kind, LinkShape
+from dgeval.robots.description import Joint, Kind, LinkShape, crank_beside
 
 if TYPE_CHECKING:
     import yourdfpy
@@ -113,12 +113,16 @@ def capsules_of(
 ) -> list[LinkShape]:
     """Capsules from the link's origin to the origin of each joint below it.
 
-    A link without one reaches to twice its centre of mass, else as far as the link above it; else
-    it is a sphere. radius in m.
+    A bar of a linkage is as long as the crank beside it. Another link without a joint below
+    reaches to twice its centre of mass, else as far as the link above it; else it is a sphere.
+    radius in m.
     """
     below = sorted((j for j in joints.values() if j.parent == link), key=lambda j: j.name)
     ends = [j.origin[:3, 3] for j in below if np.linalg.norm(j.origin[:3, 3]) >= LEAST_M]
-    if not ends and mass_centre is not None and np.linalg.norm(mass_centre) >= LEAST_M:
+    beside = crank_beside(joints, link)
+    if beside is not None:
+        ends = [beside]
+    elif not ends and mass_centre is not None and np.linalg.norm(mass_centre) >= LEAST_M:
         ends = [2 * mass_centre]
     elif not ends and link in joints and np.linalg.norm(joints[link].origin[:3, 3]) >= LEAST_M:
         # straight on from the link above, whatever way this one's axes are turned

@@ -17,7 +17,7 @@ from dgeval.robots.urdf import robot_urdf
 from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle
 from dgeval.worlds.objects import ten_objects
 from dgeval.worlds.scene import build
-from tests.robots.urdf_texts import ARM, GRIPPER, PADS, box, joint, robot
+from tests.robots.urdf_texts import ARM, GRIPPER, PADS, box, follows, joint, robot
 
 
 def made(text: str, palm: str, at: dict[str, float]) -> DescribedHand:
@@ -162,3 +162,51 @@ def test_a_primitive_without_a_size_is_told() -> None:
     description = load_description(text, "a.urdf", (), 0.01)
     assert "a box of size 0 (link left)" in description.notes[0]
     assert {s.kind for s in description.shapes["left"]} <= {"capsule", "sphere"}
+
+
+def linkage() -> str:
+    """A gripper of two cranks with bars beside them, which keep its pads parallel. Its meshes are
+    missing, and only the pads are boxes.
+    """
+    bar = {"mimic": follows("crank")}
+    back = {"mimic": follows("crank", -1.0), "limits": (-0.8, 0.0)}
+    missing = '<collision><geometry><mesh filename="package://g/no.stl"/></geometry></collision>'
+    heavy = '<inertial><origin xyz="0 0.06 0"/><mass value="0.03"/></inertial>' + missing
+    joints = [
+        joint("crank", "hand", "crank_l", xyz="0 -0.03 0.055", axis="-1 0 0", limits=(0.0, 0.8)),
+        joint("pad_l_joint", "crank_l", "pad_l", xyz="0 -0.04 0.04", axis="-1 0 0", **back),
+        joint("bar_l_joint", "hand", "bar_l", xyz="0 -0.01 0.06", axis="-1 0 0", **bar),
+        joint("crank_r_joint", "hand", "crank_r", xyz="0 0.03 0.055", axis="1 0 0", **bar),
+        joint("pad_r_joint", "crank_r", "pad_r", xyz="0 0.04 0.04", axis="1 0 0", **back),
+        joint("bar_r_joint", "hand", "bar_r", xyz="0 0.01 0.06", axis="1 0 0", **bar),
+    ]
+    solids = dict.fromkeys(["crank_l", "crank_r"], missing)
+    solids |= dict.fromkeys(["bar_l", "bar_r"], heavy)
+    solids |= dict.fromkeys(["pad_l", "pad_r"], box("0.02 0.006 0.05", "0 0 0.03"))
+    return robot([*ARM, joint("mount", "flange", "hand", "fixed"), *joints], solids)
+
+
+def test_a_bar_of_a_linkage_is_no_finger() -> None:
+    """Fails where its centre of mass makes it the hand's longest finger, without its mesh."""
+    hand = made(linkage(), "hand", {})
+    assert [link for link, _ in hand.geometry.tips] == ["pad_l", "pad_r"]
+    assert hand.told.startswith("2 fingers")
+    assert hand.centre[:2] == pytest.approx([0.0, 0.0], abs=1e-6)
+    # a bar runs along its crank, and is as long
+    (bar,) = hand.geometry.description.shapes["bar_r"]
+    assert 2 * bar.T_link_shape[:3, 3] == pytest.approx([0.0, 0.04, 0.04])
+
+
+def test_a_finger_that_parts_has_a_tip_at_each_end() -> None:
+    """Fails where two pads on one side count as one, and the hand's centre is before that one."""
+    pads = [
+        joint("side_l", "hand", "left", xyz="0 -0.03 0", axis="-1 0 0", limits=(0.0, 0.6)),
+        joint("side_r", "hand", "right", xyz="0 0.03 0", axis="1 0 0", limits=(0.0, 0.6)),
+        joint("end_a", "left", "a", xyz="0.02 0 0.08", axis="-1 0 0", limits=(0.0, 0.1)),
+        joint("end_b", "left", "b", xyz="-0.02 0 0.08", axis="-1 0 0", limits=(0.0, 0.1)),
+        joint("end_c", "right", "c", xyz="0 0 0.08", axis="1 0 0", limits=(0.0, 0.1)),
+    ]
+    solids = dict.fromkeys("abc", box("0.01 0.01 0.02", "0 0 0.01"))
+    hand = made(robot([*ARM, joint("mount", "flange", "hand", "fixed"), *pads], solids), "hand", {})
+    assert [link for link, _ in hand.geometry.tips] == ["a", "b", "c"]
+    assert hand.centre[0] == pytest.approx(0.0, abs=1e-6)
