@@ -86,6 +86,7 @@ class CalibrationConfig(Section):
         description="m per unit of depth; default: as the file says, else 0.001 of integers, 1 of "
         "floats",
     )
+    depth_offset_m: float = Field(0.0, description="m that are added to depth")
     intrinsics: tuple[float, float, float, float] | None = Field(
         None, description="fx fy cx cy where none is recorded"
     )

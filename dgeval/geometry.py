@@ -120,6 +120,21 @@ def orthonormalise(T: Array) -> Array:
     return out
 
 
+def best_rigid(a: Array, b: Array) -> Array:
+    """T (..., 4, 4) that maps points a (..., n, 3) onto the points b best, as Kabsch 1976."""
+    middle_a, middle_b = a.mean(axis=-2), b.mean(axis=-2)
+    spread = np.swapaxes(a - middle_a[..., None, :], -1, -2) @ (b - middle_b[..., None, :])
+    U, _, Vt = np.linalg.svd(spread)
+    V, Ut = np.swapaxes(Vt, -1, -2), np.swapaxes(U, -1, -2)
+    proper = np.ones(middle_a.shape)
+    proper[..., 2] = np.sign(np.linalg.det(V @ Ut))
+    out = np.broadcast_to(IDENTITY, (*middle_a.shape[:-1], 4, 4)).copy()
+    R = (V * proper[..., None, :]) @ Ut
+    out[..., :3, :3] = R
+    out[..., :3, 3] = middle_b - (R @ middle_a[..., None])[..., 0]
+    return out
+
+
 def interpolate_pose(a: Array, b: Array, alpha: float) -> Array:
     """Interpolate two (7,) poses: linear in position, slerp along the shorter arc in rotation.
 

@@ -100,3 +100,20 @@ def test_a_turn_about_an_axis_is_scipys_to_the_bit(
     unit = np.array(axis) / length if length > 0.1 else np.array([0.0, 0.0, 1.0])
     expected = Rotation.from_rotvec(unit * (angle * scale)).as_matrix()
     np.testing.assert_array_equal(g.rotation_about(unit, angle * scale), expected)
+
+
+@given(poses(), st.integers(3, 9))
+def test_the_best_rigid_motion_is_scipys(pose: np.ndarray, count: int) -> None:
+    """Fails where a stack of point sets gets another's motion, or a reflection."""
+    rng = np.random.default_rng(count)
+    a = rng.normal(size=(2, count, 3))
+    T = g.matrix_from_pose(pose)
+    b = np.stack([g.transform(T, a[0]), a[1] * [-1.0, 1.0, 1.0]]) + 0.01 * rng.normal(size=a.shape)
+    found = g.best_rigid(a, b)
+    for k in range(2):
+        spread_a, spread_b = a[k] - a[k].mean(axis=0), b[k] - b[k].mean(axis=0)
+        expected = Rotation.align_vectors(spread_b, spread_a)[0].as_matrix()
+        assert np.linalg.det(found[k, :3, :3]) == pytest.approx(1.0)
+        loss = np.sum((spread_a @ found[k, :3, :3].T - spread_b) ** 2)
+        assert loss <= np.sum((spread_a @ expected.T - spread_b) ** 2) + 1e-9
+        assert np.allclose(g.transform(found[k], a[k].mean(axis=0)[None]), b[k].mean(axis=0))

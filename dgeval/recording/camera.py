@@ -13,6 +13,8 @@ from dgeval.config import CalibrationConfig
 from dgeval.errors import Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics, matrix_from_pose
 from dgeval.recording.alignment import Alignment
+from dgeval.recording.image_codecs.pixels import Pixels
+from dgeval.recording.images import depth_from
 from dgeval.recording.lens import Lens, lens_of
 from dgeval.recording.messages import CAMERA_INFO, CameraModel
 from dgeval.recording.roles import Roles, aligned
@@ -31,7 +33,7 @@ class Camera:
     depth is dropped where it is not 0; None without one. alignment: of depth that has its own
     camera; None for depth that is aligned as recorded. lens, depth_lens: of the colour and of the
     depth pictures; None without distortion. notes: what was assumed. doubt: what makes the
-    alignment doubtful, "" without.
+    alignment doubtful, "" without. depth_offset_m: what is added to all depth, m.
     """
 
     intrinsics: Intrinsics
@@ -42,6 +44,18 @@ class Camera:
     lens: Lens | None = None
     depth_lens: Lens | None = None
     doubt: str = ""
+    depth_offset_m: float = 0.0
+
+    def metres(self, pixels: Pixels) -> NDArray[np.float32]:
+        """Depth (H, W) float32 m as it is recorded, 0 where there is no reading.
+
+        ValueError for a picture that is no depth.
+        """
+        depth = depth_from(pixels, self.depth_scale)
+        if self.depth_offset_m:
+            known = depth > 0
+            depth[known] = np.maximum(depth[known] + np.float32(self.depth_offset_m), 0)
+        return depth
 
     def straight(
         self, colour: NDArray[np.uint8], depth: NDArray[np.float32]
@@ -103,7 +117,10 @@ def camera_of(
     mask = _static_mask(config, intrinsics)
     if mask is not None and lens is not None:
         mask = lens.mask(mask)
-    return Camera(intrinsics, scale, mask, tuple(notes), alignment, lens, depth_lens, doubt)
+    offset_m = config.depth_offset_m
+    return Camera(
+        intrinsics, scale, mask, tuple(notes), alignment, lens, depth_lens, doubt, offset_m
+    )
 
 
 def _stated_unit(scan: Scan, depth_topic: str) -> float | None:

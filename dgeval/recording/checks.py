@@ -6,16 +6,15 @@ the same ones. A check that a team knows of is accepted by name (`checks.accept`
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.config import ClockConfig
-from dgeval.recording.camera_motion import moved_pairs
-from dgeval.recording.camera_poses import far_from_palm, wrong_poses
+from dgeval.recording.camera_poses import far_from_palm
+from dgeval.recording.check import Check
 from dgeval.recording.containers.opening import missing_parts
 from dgeval.recording.contract import (
     CLOSE_EVENT,
@@ -27,29 +26,24 @@ from dgeval.recording.contract import (
     TRIAL_END_EVENT,
     label_of,
 )
-from dgeval.recording.depth_unit import wrong_unit
 from dgeval.recording.events import Events
-from dgeval.recording.frame import Frame
-from dgeval.recording.frame_reader import FrameReader, LostFrames
+from dgeval.recording.frame_checks import SAMPLED, frame_checks, sampled_frames
+from dgeval.recording.frame_reader import FrameReader
 from dgeval.recording.frozen import frozen_streams
 from dgeval.recording.joint_checks import joint_faults
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.messages import TF_TYPES
-from dgeval.recording.pairing import Pair, Window
+from dgeval.recording.pairing import Window
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
-from dgeval.recording.scene_motion import CONTRADICTS, NOT_QUITE, scene_steps, seeming_motion
 from dgeval.recording.splits import unread_part
 
 PART_CHECK = "parts"
-SAMPLED = 12  # frames of a trial whose depth is looked at
 MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 LEAST_POSES = 0.5  # share of the frames that must have a camera pose; ours
 BESIDE_NS = 500_000_000  # ns, by which a command may lie before or after all images; ours
-UNITS_M = (1.0, 1e-2, 1e-3, 1e-4, 2.5e-4)  # m per unit of depth, of cameras in use
-NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is that one
 CLOCK_STEP_S = 0.25  # s, by which a clock is said to have been set; ours
 BEFORE_AFTER_S = 1.0  # s of messages on each side of a step; a burst of late ones is shorter
 LEAST_BESIDE = 5  # messages on each side
@@ -57,18 +51,6 @@ MOST_STEPS = 100  # that are looked at; a stream with more has no clock that was
 LONGEST_GAP_S = 1.0  # s, as long as velocity and model are carried on (`estimation`)
 MOST_WORDS = 6  # that a sentence lists
 MOST_DROPPED = 0.1  # share of a stream whose stamps can't be used; ours
-
-
-@dataclass(frozen=True)
-class Check:
-    """A check that failed: its name, what is wrong, and what mends it."""
-
-    name: str
-    what: str
-    mend: str
-
-    def __str__(self) -> str:
-        return f"check {self.name}: {self.what}; {self.mend}"
 
 
 def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | None, str]:
@@ -165,40 +147,17 @@ def failed_checks(
         what = f"of several hands ({named}) none carries the camera, and not one alone moves"
         mend = f"name the one that grasps: --set frames.palm={robot.hands[0]}"
         failed.append(Check("hands", what, mend))
-    if robot.base_frame is not None:
-        times = [p.t_ns for p in window.pairs]
-        known = sum(robot.T_base_camera(t) is not None for t in times)
-        if known < LEAST_POSES * len(times):
-            what = f"the camera's pose in {robot.base_frame!r} is known in {known} of {len(times)}"
-            mend = "look at the times of /tf or joint states in `dgeval inspect`; clock.*.offset_ns"
-            unknown = _joints_without_states(robot)
-            if unknown:
-                named = ", ".join(unknown[:MOST_WORDS])
-                mend = f"no states are recorded of the joints above the camera: {named}"
-                unread = [n for n, t in scan.opened.topics.items() if t.unread and "joint" in n]
-                mend += f"; {', '.join(unread)} can't be read" if unread else ""
-            failed.append(Check("poses", f"{what} frames", mend))
-    if robot.base_frame is not None and robot.palm_frame is not None:
-        step = max(1, len(window.pairs) // SAMPLED)
-        times = [p.t_ns for p in window.pairs[::step]]
-        frames = robot.base_frame, robot.palm_frame, robot.camera_frame
-        far = far_from_palm(robot.tree, *frames, times)
-        if far is not None:
-            failed.append(Check("camera_poses", far, "mend the transform between them"))
+    failed += _poses(scan, robot, window)
     failed += [
         Check("frozen", what, "what happens from there on is not seen; look at the driver")
         for what in frozen_streams(scan, roles, window, reader)
     ]
     assert roles.depth is not None
-    approach = [p for p in window.pairs if close_ns is None or p.t_ns <= close_ns]
-    seen = tuple(approach) if len(approach) >= SAMPLED else window.pairs
-    sampled = _sampled(reader, seen)
-    failed += _against_the_scene(reader, sampled, scan.images[roles.depth].encoding != "32FC1")
-    notes = [note] if note else []
-    if not {c.name for c in failed} & {"camera_poses", "depth_unit"}:
-        against, note = _against_the_pictures(robot, sampled)
-        failed += against
-        notes += [note] if note else []
+    approach = tuple(p for p in window.pairs if close_ns is None or p.t_ns <= close_ns)
+    seen = approach if len(approach) >= SAMPLED else window.pairs
+    encoding = scan.images[roles.depth].encoding
+    against, not_quite = frame_checks(reader, sampled_frames(reader, seen), encoding != "32FC1")
+    failed += [check for check in against if check.name not in {c.name for c in failed}]
     if reader.camera.doubt:
         mend = "if so --set 'calibration.T_colour_depth=[0,0,0,0,0,0,1]', else the transform"
         failed.append(Check("cameras", reader.camera.doubt, mend))
@@ -207,7 +166,32 @@ def failed_checks(
             f"{roles.rival} is another camera, and its frame has the same name as {roles.colour}'s"
         )
         failed.append(Check("cameras", what, "name one: --set roles.colour=… and roles.depth=…"))
-    return failed, notes
+    return failed, [text for text in (note, not_quite) if text]
+
+
+def _poses(scan: Scan, robot: RobotStates, window: Window) -> list[Check]:
+    """Whether the camera's pose is known in most frames, and near the palm that it moves with."""
+    if robot.base_frame is None:
+        return []
+    failed = []
+    times = [p.t_ns for p in window.pairs]
+    known = sum(robot.T_base_camera(t) is not None for t in times)
+    if known < LEAST_POSES * len(times):
+        what = f"the camera's pose in {robot.base_frame!r} is known in {known} of {len(times)}"
+        mend = "look at the times of /tf or joint states in `dgeval inspect`; clock.*.offset_ns"
+        unknown = _joints_without_states(robot)
+        if unknown:
+            named = ", ".join(unknown[:MOST_WORDS])
+            mend = f"no states are recorded of the joints above the camera: {named}"
+            unread = [n for n, t in scan.opened.topics.items() if t.unread and "joint" in n]
+            mend += f"; {', '.join(unread)} can't be read" if unread else ""
+        failed.append(Check("poses", f"{what} frames", mend))
+    if robot.palm_frame is not None:
+        frames = robot.base_frame, robot.palm_frame, robot.camera_frame
+        far = far_from_palm(robot.tree, *frames, times[:: max(1, len(times) // SAMPLED)])
+        if far is not None:
+            failed.append(Check("camera_poses", far, "mend the transform between them"))
+    return failed
 
 
 def _joints_without_states(robot: RobotStates) -> list[str]:
@@ -352,61 +336,3 @@ def part_check(recording: Path) -> list[Check]:
             "give all parts, or their folder",
         )
     ]
-
-
-def _sampled(reader: FrameReader, approach: tuple[Pair, ...]) -> list[Frame]:
-    """A few frames of the pairs before the hand lifts what it holds, which then moves with the
-    camera.
-    """
-    at = np.unique(np.linspace(0, len(approach) - 1, SAMPLED).astype(int))
-    pairs = tuple(approach[k] for k in at)
-    return list(replace(reader, pairs=pairs, lost=LostFrames([])).frames())
-
-
-def _against_the_scene(
-    reader: FrameReader, frames: Sequence[Frame], is_integer: bool
-) -> list[Check]:
-    """Whether the depth of a few frames can be metres, and the camera's poses those of its optical
-    frame.
-    """
-    pairs_moved = moved_pairs(frames)
-    found = wrong_unit(frames, pairs_moved)
-    if found is None:
-        robot = reader.robot
-        if robot.base_frame is None:
-            return []
-        what = wrong_poses(pairs_moved, robot.tree, robot.base_frame, robot.camera_frame)
-        mend = (
-            "is it the optical frame (frames.camera), is the hand-eye calibration right, and are "
-        )
-        mend += "the camera's stamps on the robot's clock (clock.colour.offset_ns)?"
-        return [] if what is None else [Check("camera_poses", what, mend)]
-    what, factor = found
-    given = reader.camera.depth_scale
-    stated = "" if given is None else f" with a scale of {given:g}"
-    used = given or (1e-3 if is_integer else 1.0)
-    scale = used * factor
-    near = min(UNITS_M, key=lambda unit: abs(np.log(unit / scale)))
-    proposed = near if abs(np.log(near / scale)) < NEAR_UNIT else scale
-    mend = f"set calibration.depth_scale, in m per unit (probably {proposed:.2g})"
-    return [Check("depth_unit", f"{what}{stated}", mend)]
-
-
-def _against_the_pictures(robot: RobotStates, frames: Sequence[Frame]) -> tuple[list[Check], str]:
-    """Whether the camera's poses fit what its pictures show, and a note, "" without, where they
-    hardly do.
-    """
-    share = seeming_motion(scene_steps(frames))
-    if share is None or share <= NOT_QUITE:
-        return [], ""
-    what = (
-        f"by the poses of {robot.camera_frame!r} what the pictures show moves along with the "
-        f"camera, by {share:.0%} of its way"
-    )
-    if share <= CONTRADICTS:
-        return [], f"{what}: the hand-eye calibration, a joint's scale or depth is not quite right"
-    mend = (
-        "are the pictures mirrored or turned, is the hand-eye calibration right, and have the "
-        "joints above the camera the description's names, signs and units?"
-    )
-    return [Check("camera_poses", what, mend)], ""

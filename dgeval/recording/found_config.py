@@ -58,6 +58,8 @@ def found_config(path: Path, config: Config) -> str:
         lines.append(f"depth_scale = {camera.depth_scale:g}  # m per unit")
     else:
         lines.append("# depth_scale: millimetres in whole numbers, metres in floats")
+    if camera.depth_offset_m:
+        lines.append(f"depth_offset_m = {camera.depth_offset_m:g}  # added to depth")
     hand = robot.hand_found
     lines += ["", "[hand]", f"# {hand if isinstance(hand, str) else hand.told}"]
     if isinstance(hand, DescribedHand):

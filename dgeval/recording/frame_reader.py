@@ -16,7 +16,7 @@ from dgeval.recording.camera import Camera
 from dgeval.recording.containers.container import Opened, RawMessage
 from dgeval.recording.contract import GRASP_TOPIC
 from dgeval.recording.frame import Frame, RecordedGrasp
-from dgeval.recording.images import colour_from, decode_image, depth_from
+from dgeval.recording.images import colour_from, decode_image
 from dgeval.recording.pairing import Pair
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.scan import Scan
@@ -148,7 +148,7 @@ class FrameReader:
                 colour = colour_from(decode_image(decoded))
             else:
                 colour = colour_raw
-            depth = depth_from(decode_image(self.opened.decode(depth_raw)), self.camera.depth_scale)
+            depth = self.camera.metres(decode_image(self.opened.decode(depth_raw)))
             colour, depth = self.camera.straight(colour, depth)
         except (UndecodableError, ValueError) as error:
             self._lose(t_ns, str(error))

@@ -10,7 +10,7 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.errors import DgevalError
-from dgeval.recording.checks import Check
+from dgeval.recording.check import Check
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import BELIEF_PREFIX, TRUTH_PREFIX

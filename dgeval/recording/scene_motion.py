@@ -8,15 +8,16 @@ camera that itself moves evenly all the time, the wrong axis can't be told from 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
-from dgeval.geometry import Array, invert
+from dgeval.geometry import Array, best_rigid, invert, transform
 from dgeval.recording.frame import Frame
 
 WIDTH = 320  # px, of the pictures in which points are looked for
@@ -36,21 +37,56 @@ LEAST_SPIN = 0.05  # rad/s, about the vertical, of a scene that is said to turn
 # 42 of 49; with depth 40 mm too far more than 0.015 in 34 of 47
 MUST_FIT = 0.4
 NOT_QUITE, CONTRADICTS = 0.015, 0.06
+# from which share on another depth is tried, the share that is left at most where it explains what
+# is seen, and how many times better it fits; ours
+SUSPECT, EXPLAINED, TIMES_BETTER = 0.010, 0.008, 3.0
+FACTORS = np.geomspace(0.15, 6.6, 97)  # of depth, that are tried; neighbours differ by 4 %
+FINER = np.linspace(0.96, 1.04, 17)  # of the best of them
+FARTHER_M = np.arange(-0.15, 0.151, 0.005)  # m, on top of depth, that are tried
+LEAST_FACTOR, LEAST_FARTHER_M = 0.06, 0.020  # logarithm, m; less is no finding; ours
+
+
+@dataclass(frozen=True)
+class Depth:
+    """What depth would be if the recorded one were wrong: `factor` times as far, and `farther_m`
+    on top.
+    """
+
+    factor: float = 1.0
+    farther_m: float = 0.0
+
+    def of(self, points: Array) -> Array:
+        """Points (n, 3) m of the camera's frame, each along its ray."""
+        return points * (self.factor + self.farther_m / points[:, 2:])
+
+
+AS_RECORDED = Depth()
 
 
 @dataclass(frozen=True)
 class SceneStep:
-    """How most of what is seen in two frames seems to move, by the camera's given poses.
+    """Two frames by whose points most of what is seen moves as one.
 
-    seconds: between them. moved_m: by the camera. middle: (3,) m, base frame, of what is seen.
-    shift: (3,) m, of the middle. turn: (3,) rad, rotation vector, base frame.
+    seconds: between them. moved_m: by the camera. T_base_a, T_base_b (4, 4): its given poses.
+    a, b (n, 3) m: the same points in the camera's frame, then and later.
     """
 
     seconds: float
     moved_m: float
-    middle: Array
-    shift: Array
-    turn: Array
+    T_base_a: Array
+    T_base_b: Array
+    a: Array
+    b: Array
+
+    def seeming(self, depth: Depth) -> tuple[Array, Array, Array]:
+        """How the scene seems to move by the camera's poses: its middle, the middle's shift, (3,)
+        m, and its turn, (3,) rad, a rotation vector, all in the base frame.
+        """
+        a, b = depth.of(self.a), depth.of(self.b)
+        T_moved = self.T_base_b @ best_rigid(a, b) @ invert(self.T_base_a)
+        was = transform(self.T_base_a, a.mean(axis=0)[None])
+        shift = transform(T_moved, was) - was
+        return was[0], shift[0], Rotation.from_matrix(T_moved[:3, :3]).as_rotvec()
 
 
 @dataclass(frozen=True)
@@ -58,7 +94,7 @@ class _Points:
     """Points of a picture: (N, 3) m in the camera's frame, and (N, 128) what they look like."""
 
     xyz: Array
-    looks: Array
+    looks: NDArray[np.float32]
 
 
 def scene_steps(frames: Sequence[Frame]) -> list[SceneStep]:
@@ -67,35 +103,37 @@ def scene_steps(frames: Sequence[Frame]) -> list[SceneStep]:
     """
     posed = [f for f in frames if f.T_base_camera is not None]
     seen: dict[int, _Points] = {}
-    out = []
     rng = generator(0, "scene_motion", 0)
-    for i, a in enumerate(posed):
-        assert a.T_base_camera is not None
-        far = float(np.median(a.depth[a.depth > 0])) if (a.depth > 0).any() else 0.0
-        for j in range(i + 1, len(posed)):
-            b = posed[j]
-            assert b.T_base_camera is not None
-            moved = float(np.linalg.norm(b.T_base_camera[:3, 3] - a.T_base_camera[:3, 3]))
-            if moved < max(STEP_M, STEP_SHARE * far):
-                continue
-            for k in (i, j):
-                if k not in seen:
-                    seen[k] = _points_of(posed[k])
-            pair = _same_points(seen[i], seen[j])
-            motion = _shared_motion(*pair, moved, rng)
-            if motion is not None:
-                T_b_a, middle_a = motion
-                T_moved = b.T_base_camera @ T_b_a @ invert(a.T_base_camera)
-                was = a.T_base_camera[:3, :3] @ middle_a + a.T_base_camera[:3, 3]
-                now = T_moved[:3, :3] @ was + T_moved[:3, 3]
-                turn = Rotation.from_matrix(T_moved[:3, :3]).as_rotvec()
-                seconds = (b.t_ns - a.t_ns) * 1e-9
-                out.append(SceneStep(seconds, moved, was, now - was, turn))
-            break
+    out = []
+    for i, j in _far_enough(posed):
+        for k in (i, j):
+            if k not in seen:
+                seen[k] = _points_of(posed[k])
+        T_a, T_b = posed[i].T_base_camera, posed[j].T_base_camera
+        assert T_a is not None
+        assert T_b is not None
+        moved_m = float(np.linalg.norm(T_b[:3, 3] - T_a[:3, 3]))
+        shared = _moving_as_one(*_same_points(seen[i], seen[j]), moved_m, rng)
+        if shared is not None:
+            seconds = (posed[j].t_ns - posed[i].t_ns) * 1e-9
+            out.append(SceneStep(seconds, moved_m, T_a, T_b, *shared))
     return out
 
 
-def seeming_motion(steps: Sequence[SceneStep]) -> float | None:
+def _far_enough(posed: Sequence[Frame]) -> Iterator[tuple[int, int]]:
+    """Each frame and the next one from which the camera has moved far enough for what it sees."""
+    for i, a in enumerate(posed):
+        far = float(np.median(a.depth[a.depth > 0])) if (a.depth > 0).any() else 0.0
+        for j in range(i + 1, len(posed)):
+            T_a, T_b = a.T_base_camera, posed[j].T_base_camera
+            assert T_a is not None
+            assert T_b is not None
+            if np.linalg.norm(T_b[:3, 3] - T_a[:3, 3]) >= max(STEP_M, STEP_SHARE * far):
+                yield i, j
+                break
+
+
+def seeming_motion(steps: Sequence[SceneStep], depth: Depth = AS_RECORDED) -> float | None:
     """The share of the camera's motion by which the scene moves neither not at all nor evenly, in
     the best MUST_FIT of the steps. Evenly: with one velocity, and one turn rate about the vertical.
 
@@ -104,10 +142,11 @@ def seeming_motion(steps: Sequence[SceneStep]) -> float | None:
     if len(steps) < LEAST_STEPS:
         return None
     seconds = np.array([s.seconds for s in steps])[:, None]
-    middle = np.array([s.middle for s in steps])
-    shift = np.array([s.shift for s in steps])
+    middle, shift, turn = (
+        np.array(listed) for listed in zip(*(s.seeming(depth) for s in steps), strict=True)
+    )
     moved = np.array([s.moved_m for s in steps])
-    spin = float(np.median(np.array([s.turn[2] for s in steps]) / seconds[:, 0]))
+    spin = float(np.median(turn[:, 2] / seconds[:, 0]))
     if abs(spin) < LEAST_SPIN:
         spin = 0.0
     lever = middle - np.median(middle, axis=0)
@@ -120,6 +159,30 @@ def seeming_motion(steps: Sequence[SceneStep]) -> float | None:
     return float(min(np.sort(s)[int(MUST_FIT * len(steps))] for s in shares))
 
 
+def fitting_depth(steps: Sequence[SceneStep], seeming: float) -> Depth | None:
+    """The depth with which the scene moves as it should by the camera's poses; None where the
+    recorded one is as good as any, or where no other explains it.
+
+    seeming: `seeming_motion` of the steps with depth as recorded.
+    """
+    if seeming <= SUSPECT:
+        return None
+    nearest_m = min(float(step.a[:, 2].min()) for step in steps)
+
+    def best_of(tried: Iterable[Depth]) -> tuple[float, Depth]:
+        shares = ((seeming_motion(steps, d), d) for d in tried if d.farther_m > -nearest_m / 2)
+        return min(((s, d) for s, d in shares if s is not None), key=lambda found: found[0])
+
+    best = best_of(
+        [Depth(factor=float(f)) for f in FACTORS] + [Depth(farther_m=float(m)) for m in FARTHER_M]
+    )
+    if best[1].farther_m == 0.0:
+        best = best_of(Depth(factor=best[1].factor * float(f)) for f in FINER)
+    left, depth = best
+    is_other = abs(np.log(depth.factor)) >= LEAST_FACTOR or abs(depth.farther_m) >= LEAST_FARTHER_M
+    return depth if is_other and left <= min(EXPLAINED, seeming / TIMES_BETTER) else None
+
+
 def _points_of(frame: Frame) -> _Points:
     """Points of the texture whose depth is known."""
     grey = cv2.cvtColor(frame.colour, cv2.COLOR_RGB2GRAY)
@@ -129,40 +192,29 @@ def _points_of(frame: Frame) -> _Points:
     sift = cv2.SIFT.create(nfeatures=MOST_POINTS, contrastThreshold=CONTRAST)
     corners, looks = sift.detectAndCompute(grey, None)
     if not corners:
-        return _Points(np.zeros((0, 3)), np.zeros((0, 128)))
+        return _Points(np.zeros((0, 3)), np.zeros((0, 128), np.float32))
     uv = (np.array([c.pt for c in corners]) + 0.5) / scale - 0.5
     height, width = frame.depth.shape
     at = np.clip(np.rint(uv).astype(int), 0, (width - 1, height - 1))
     z = frame.depth[at[:, 1], at[:, 0]].astype(np.float64)
     known = z > 0
     xyz = frame.camera.backproject(uv[known, 0], uv[known, 1], z[known])
-    return _Points(xyz, looks[known].astype(np.float64))
+    return _Points(xyz, looks[known])
 
 
 def _same_points(a: _Points, b: _Points) -> tuple[Array, Array]:
     """(N, 3) each, m, in the frames of two cameras: points that look alike and unlike others."""
     if len(a.xyz) < 2 or len(b.xyz) < 2:
         return np.zeros((0, 3)), np.zeros((0, 3))
-    alike = a.looks @ b.looks.T
-    apart = np.sqrt(
-        np.maximum(
-            (a.looks**2).sum(axis=1)[:, None] + (b.looks**2).sum(axis=1)[None] - 2 * alike, 0
-        )
-    )
-    two = np.argpartition(apart, 1, axis=1)[:, :2]
-    best, second = np.take_along_axis(apart, two, axis=1).T
-    nearest = two[:, 0]
-    swap = second < best
-    nearest = np.where(swap, two[:, 1], nearest)
-    best, second = np.minimum(best, second), np.maximum(best, second)
-    clear = best < RATIO * second
-    return a.xyz[clear], b.xyz[nearest[clear]]
+    two = cv2.BFMatcher(cv2.NORM_L2).knnMatch(a.looks, b.looks, k=2)
+    clear = [best for best, second in two if best.distance < RATIO * second.distance]
+    return a.xyz[[m.queryIdx for m in clear]], b.xyz[[m.trainIdx for m in clear]]
 
 
-def _shared_motion(
+def _moving_as_one(
     a: Array, b: Array, moved_m: float, rng: np.random.Generator
 ) -> tuple[Array, Array] | None:
-    """T_b_a that most points share, and their middle in a; None where too few do.
+    """Those of the points (N, 3) that share the motion which most have; None where too few do.
 
     Points that move with the camera, as those on the hand, are left out.
     """
@@ -171,31 +223,15 @@ def _shared_motion(
     if len(a) < LEAST_AGREE:
         return None
     triples = rng.integers(0, len(a), (TRIPLES, 3))
-    T = _rigid(a[triples], b[triples])
+    T = best_rigid(a[triples], b[triples])
     off = np.linalg.norm(np.einsum("kij,nj->kni", T[:, :3, :3], a) + T[:, None, :3, 3] - b, axis=2)
     shared = off < AGREES * b[:, 2]
     agree = shared[int(shared.sum(axis=1).argmax())]
     for _ in range(3):
         if agree.sum() < LEAST_AGREE:
             return None
-        T_b_a = _rigid(a[None, agree], b[None, agree])[0]
-        off_all = np.linalg.norm(a @ T_b_a[:3, :3].T + T_b_a[:3, 3] - b, axis=1)
-        agree = off_all < AGREES * b[:, 2]
+        T_b_a = best_rigid(a[agree], b[agree])
+        agree = np.linalg.norm(transform(T_b_a, a) - b, axis=1) < AGREES * b[:, 2]
     if agree.sum() < max(LEAST_AGREE, LEAST_SHARE * len(a)):
         return None
-    return T_b_a, a[agree].mean(axis=0)
-
-
-def _rigid(a: Array, b: Array) -> Array:
-    """(K, 4, 4): T that maps the points a (K, N, 3) onto b best, Kabsch 1976."""
-    middle_a, middle_b = a.mean(axis=1), b.mean(axis=1)
-    u, _, vt = np.linalg.svd(
-        np.einsum("kni,knj->kij", a - middle_a[:, None], b - middle_b[:, None])
-    )
-    v, ut = vt.transpose(0, 2, 1), u.transpose(0, 2, 1)
-    proper = np.ones((len(a), 3))
-    proper[:, 2] = np.sign(np.linalg.det(v @ ut))
-    out = np.tile(np.eye(4), (len(a), 1, 1))
-    out[:, :3, :3] = (v * proper[:, None]) @ ut
-    out[:, :3, 3] = middle_b - np.einsum("kij,kj->ki", out[:, :3, :3], middle_a)
-    return out
+    return a[agree], b[agree]

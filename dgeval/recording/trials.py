@@ -12,7 +12,8 @@ from dgeval.config import Config
 from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics
 from dgeval.recording.camera import camera_of
-from dgeval.recording.checks import Check, clock_check, event_checks, failed_checks, part_check
+from dgeval.recording.check import Check
+from dgeval.recording.checks import clock_check, event_checks, failed_checks, part_check
 from dgeval.recording.closes import CloseKnown, close_of, gripper_tracks
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container

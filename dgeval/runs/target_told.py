@@ -10,7 +10,7 @@ import numpy as np
 
 from dgeval.config import Config
 from dgeval.perception.target import candidates
-from dgeval.recording.checks import Check
+from dgeval.recording.check import Check
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step, replay
 from dgeval.replay.notes import FrameCounts

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dgeval.failure_rule import Unknown
-from dgeval.geometry import Array, invert, matrix_from_pose, transform
+from dgeval.geometry import Array, best_rigid, invert, matrix_from_pose, transform
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.recording.messages import StampedPose
 from dgeval.recording.robot import RobotStates
@@ -273,10 +273,6 @@ def _closest(points: Array, tree: cKDTree, T: Array, kept: float) -> tuple[Array
         distance, nearest = tree.query(moved)
         used = distance <= np.quantile(distance, kept)
         a, b = moved[used], target[np.asarray(nearest)[used]]
-        U, _, Vt = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
-        step = np.eye(4)
-        step[:3, :3] = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
-        step[:3, 3] = b.mean(axis=0) - step[:3, :3] @ a.mean(axis=0)
-        T = step @ T
+        T = best_rigid(a, b) @ T
     distance = np.asarray(tree.query(transform(T, points))[0])
     return T, float(np.mean(distance[distance <= np.quantile(distance, kept)]))

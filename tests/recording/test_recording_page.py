@@ -66,7 +66,7 @@ def test_the_manifest_is_one(tmp_path: Path, demo: Path) -> None:
 def test_every_check_is_listed() -> None:
     code = "".join(
         (ROOT / "dgeval" / name).read_text(encoding="utf-8")
-        for name in ("recording/checks.py", "runs/target_told.py")
+        for name in ("recording/checks.py", "recording/frame_checks.py", "runs/target_told.py")
     )
     made = {*re.findall(r'Check\(\s*"(\w+)"', code), PART_CHECK}
     listed = set(re.findall(r"^\| `(\w+)` \|", PAGE.split("# Checks")[1], re.MULTILINE))

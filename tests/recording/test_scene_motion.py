@@ -5,6 +5,8 @@ The scene is a textured plane, whose picture from any place is a homography, by 
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +19,8 @@ from dgeval.recording.scene_motion import (
     CONTRADICTS,
     LEAST_STEPS,
     NOT_QUITE,
+    Depth,
+    fitting_depth,
     scene_steps,
     seeming_motion,
 )
@@ -114,9 +118,42 @@ def test_an_axis_that_runs_the_other_way_is_told() -> None:
     assert said(wrong) > CONTRADICTS
 
 
-def test_depth_that_is_too_far_is_not_quite_right() -> None:
-    farther = [replace(f, depth=(f.depth + np.float32(0.08))) for f in frames()]
-    assert said(farther) > NOT_QUITE
+def fitting(listed: list[Frame]) -> Depth | None:
+    steps = scene_steps(listed)
+    share = seeming_motion(steps)
+    assert share is not None
+    return fitting_depth(steps, share)
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.05, 0.08)])
+@pytest.mark.parametrize("wrong", [Depth(farther_m=0.04), Depth(farther_m=-0.03), Depth(0.4),
+                                   Depth(0.8), Depth(1.1)])  # fmt: skip
+def test_wrong_depth_is_told_with_what_it_lacks(
+    wrong: Depth, velocity: tuple[float, float]
+) -> None:
+    """Fails where a depth camera that measures 40 mm too far is wrong without a word, or where what
+    would mend it is another number.
+    """
+    listed = [
+        replace(f, depth=(f.depth * wrong.factor + wrong.farther_m).astype(np.float32))
+        for f in frames(velocity)
+    ]
+    found = fitting(listed)
+    assert found is not None
+    assert found.factor == pytest.approx(1 / wrong.factor, rel=0.01)
+    assert found.farther_m == pytest.approx(-wrong.farther_m, abs=0.0051)
+
+
+def test_right_depth_and_wrong_poses_are_not_laid_on_depth() -> None:
+    """Fails where a hand-eye calibration that is 6 degrees off becomes an error of depth."""
+    turned = increment(np.array([0.0, 0.0, 0.0, 0.0, np.radians(6.0), 0.0]))
+    listed = []
+    for f in frames():
+        assert f.T_base_camera is not None
+        listed.append(replace(f, T_base_camera=f.T_base_camera @ turned))
+    assert said(listed) > NOT_QUITE
+    assert fitting(listed) is None
+    assert fitting(frames()) is None
 
 
 def test_a_hand_that_fills_half_of_the_picture_is_left_out() -> None:
@@ -168,3 +205,38 @@ def test_a_recording_with_mirrored_pictures_fails_its_check(
     told = [c for c in trial.checks if c.name == "camera_poses"]
     assert told
     assert "mirrored" in told[0].mend
+
+
+def _with_depth(message: Message, change: Callable[[np.ndarray], np.ndarray]) -> Message:
+    value = replace(message[3])
+    data = np.asarray(value.data, np.uint8)
+    mm = cv2.imdecode(data[12:], cv2.IMREAD_UNCHANGED)
+    changed = np.where(mm > 0, change(mm.astype(float)), 0).astype(np.uint16)
+    value.data = np.concatenate([data[:12], cv2.imencode(".png", changed)[1].ravel()])
+    return [*message[:3], value]
+
+
+def test_depth_that_is_40_mm_too_far_fails_its_check_with_what_mends_it(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where places and speeds are wrong by a tenth without a word."""
+    wrong = [_with_depth(m, lambda mm: mm + 40) if m[1] == DEPTH else m for m in messages]
+    path = write(tmp_path / "a.mcap", wrong)
+    (told,) = opened(path).checks
+    assert told.name == "depth_offset"
+    setting = re.search(r"calibration\.depth_offset_m=[-\d.]+", told.mend)
+    assert setting is not None
+    mended = opened(path, setting[0])
+    assert mended.checks == ()
+    right = opened(write(tmp_path / "b.mcap", messages))
+    depth, expected = (next(iter(trial.frames())).depth for trial in (mended, right))
+    off = np.abs(depth - expected)[expected > 0]
+    assert np.median(off) == pytest.approx(0.0, abs=0.0051)
+
+
+def test_depth_that_is_too_small_fails_its_check(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where depth in a unit that is too large by 2.5 passes for a scene that comes along."""
+    wrong = [_with_depth(m, lambda mm: 0.4 * mm) if m[1] == DEPTH else m for m in messages]
+    (told,) = opened(write(tmp_path / "a.mcap", wrong)).checks
+    assert told.name == "depth_unit"
+    assert "probably 0.0025" in told.mend

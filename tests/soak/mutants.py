@@ -935,13 +935,13 @@ MUTANTS = [
         "tests/recording/test_scene_motion.py",
     ),
     Mutant(
-        "dgeval/recording/scene_motion.py",
-        "proper[:, 2] = np.sign(np.linalg.det(v @ ut))",
-        "proper[:, 2] = 1.0",
+        "dgeval/geometry.py",
+        "proper[..., 2] = np.sign(np.linalg.det(V @ Ut))",
+        "proper[..., 2] = 1.0",
         "tests/recording/test_scene_motion.py",
     ),
     Mutant(
-        "dgeval/recording/checks.py",
+        "dgeval/recording/frame_checks.py",
         "    if share <= CONTRADICTS:\n",
         "    if share <= 10 * CONTRADICTS:\n",
         "tests/recording/test_scene_motion.py",

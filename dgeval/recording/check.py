@@ -1,0 +1,17 @@
+"""A consistency check that failed, as every module of checks gives it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check that failed: its name, what is wrong, and what mends it."""
+
+    name: str
+    what: str
+    mend: str
+
+    def __str__(self) -> str:
+        return f"check {self.name}: {self.what}; {self.mend}"

@@ -1,0 +1,120 @@
+"""Consistency checks by what a few frames of a trial show: depth's unit, the camera's poses.
+
+Those of camera and scene: a camera that moves by a known way past things that stand still, or that
+move evenly, sees them move by that way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dgeval.recording.camera_motion import moved_pairs
+from dgeval.recording.camera_poses import wrong_poses
+from dgeval.recording.check import Check
+from dgeval.recording.depth_unit import wrong_unit
+from dgeval.recording.frame import Frame
+from dgeval.recording.frame_reader import FrameReader, LostFrames
+from dgeval.recording.pairing import Pair
+from dgeval.recording.scene_motion import (
+    CONTRADICTS,
+    NOT_QUITE,
+    fitting_depth,
+    scene_steps,
+    seeming_motion,
+)
+
+SAMPLED = 12  # frames of a trial that are looked at
+UNITS_M = (1.0, 1e-2, 1e-3, 1e-4, 2.5e-4)  # m per unit of depth, of cameras in use
+NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is that one
+
+
+def sampled_frames(reader: FrameReader, approach: tuple[Pair, ...]) -> list[Frame]:
+    """A few frames of the pairs before the hand lifts what it holds, which then moves with the
+    camera.
+    """
+    at = np.unique(np.linspace(0, len(approach) - 1, SAMPLED).astype(int))
+    pairs = tuple(approach[k] for k in at)
+    return list(replace(reader, pairs=pairs, lost=LostFrames([])).frames())
+
+
+def frame_checks(
+    reader: FrameReader, frames: Sequence[Frame], is_integer: bool
+) -> tuple[list[Check], str]:
+    """The checks that fail, and a note, "" without, on what is near to failing.
+
+    is_integer: whether depth is recorded in whole numbers.
+    """
+    by_depth = _against_depth(reader, frames, is_integer)
+    if any(check.name == "depth_unit" for check in by_depth):
+        return by_depth, ""
+    by_pictures, note = _against_pictures(reader, frames, is_integer)
+    # wrong depth contradicts the poses too, and is the better answer where it explains everything
+    if by_depth and not any(check.name != "camera_poses" for check in by_pictures):
+        return by_depth, ""
+    return by_pictures, note
+
+
+def _against_depth(reader: FrameReader, frames: Sequence[Frame], is_integer: bool) -> list[Check]:
+    """Whether depth can be metres, and the camera's poses those of its optical frame, by depth."""
+    pairs_moved = moved_pairs(frames)
+    found = wrong_unit(frames, pairs_moved)
+    if found is not None:
+        return [_unit_check(reader, is_integer, *found)]
+    robot = reader.robot
+    if robot.base_frame is None:
+        return []
+    what = wrong_poses(pairs_moved, robot.tree, robot.base_frame, robot.camera_frame)
+    mend = "is it the optical frame (frames.camera), is the hand-eye calibration right, and are "
+    mend += "the camera's stamps on the robot's clock (clock.colour.offset_ns)?"
+    return [] if what is None else [Check("camera_poses", what, mend)]
+
+
+def _unit_check(reader: FrameReader, is_integer: bool, what: str, factor: float) -> Check:
+    """That depth must be `factor` times as large. what: by which it shows."""
+    given = reader.camera.depth_scale
+    stated = "" if given is None else f" with a scale of {given:g}"
+    used = given or (1e-3 if is_integer else 1.0)
+    scale = used * factor
+    near = min(UNITS_M, key=lambda unit: abs(np.log(unit / scale)))
+    is_near = abs(np.log(near / scale)) < NEAR_UNIT and near != used
+    proposed = near if is_near else scale
+    mend = f"set calibration.depth_scale, in m per unit (probably {proposed:.2g})"
+    return Check("depth_unit", f"{what}{stated}", mend)
+
+
+def _against_pictures(
+    reader: FrameReader, frames: Sequence[Frame], is_integer: bool
+) -> tuple[list[Check], str]:
+    """Whether the camera's poses and depth fit what its pictures show, and a note, "" without,
+    where they hardly do.
+    """
+    steps = scene_steps(frames)
+    share = seeming_motion(steps)
+    if share is None:
+        return [], ""
+    what = (
+        f"by the poses of {reader.robot.camera_frame!r} what the pictures show moves along with "
+        f"the camera, by {share:.0%} of its way"
+    )
+    depth = fitting_depth(steps, share)
+    if depth is not None and depth.farther_m == 0.0:
+        what += f", and stays where it is with depth {depth.factor:.2f} times as large"
+        return [_unit_check(reader, is_integer, what, depth.factor)], ""
+    if depth is not None:
+        offset_m = reader.camera.depth_offset_m + depth.farther_m
+        way = "farther away" if depth.farther_m > 0 else "nearer"
+        what += f", and stays where it is with depth {abs(depth.farther_m) * 1000:.0f} mm {way}"
+        mend = f"calibrate the depth camera, or set calibration.depth_offset_m={offset_m:g}"
+        return [Check("depth_offset", what, mend)], ""
+    if share <= NOT_QUITE:
+        return [], ""
+    if share <= CONTRADICTS:
+        return [], f"{what}: the hand-eye calibration or a joint's scale is not quite right"
+    mend = (
+        "are the pictures mirrored or turned, is the hand-eye calibration right, and have the "
+        "joints above the camera the description's names, signs and units?"
+    )
+    return [Check("camera_poses", what, mend)], ""
