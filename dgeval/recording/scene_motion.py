@@ -43,6 +43,7 @@ SUSPECT, EXPLAINED, TIMES_BETTER = 0.010, 0.008, 3.0
 FACTORS = np.geomspace(0.15, 6.6, 97)  # of depth, that are tried; neighbours differ by 4 %
 FINER = np.linspace(0.96, 1.04, 17)  # of the best of them
 FARTHER_M = np.arange(-0.15, 0.151, 0.005)  # m, on top of depth, that are tried
+LEAST_LEFT = 0.1  # of a point's depth, whatever is taken off
 LEAST_FACTOR, LEAST_FARTHER_M = 0.06, 0.020  # logarithm, m; less is no finding; ours
 
 
@@ -57,7 +58,7 @@ class Depth:
 
     def of(self, points: Array) -> Array:
         """Points (n, 3) m of the camera's frame, each along its ray."""
-        return points * (self.factor + self.farther_m / points[:, 2:])
+        return points * np.maximum(self.factor + self.farther_m / points[:, 2:], LEAST_LEFT)
 
 
 AS_RECORDED = Depth()
@@ -167,7 +168,7 @@ def fitting_depth(steps: Sequence[SceneStep], seeming: float) -> Depth | None:
     """
     if seeming <= SUSPECT:
         return None
-    nearest_m = min(float(step.a[:, 2].min()) for step in steps)
+    nearest_m = float(np.quantile(np.concatenate([step.a[:, 2] for step in steps]), 0.05))
 
     def best_of(tried: Iterable[Depth]) -> tuple[float, Depth]:
         shares = ((seeming_motion(steps, d), d) for d in tried if d.farther_m > -nearest_m / 2)

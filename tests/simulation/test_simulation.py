@@ -355,41 +355,6 @@ def test_smoke_depth_ends_at_the_least_range(smoke_verdicts: dict[str, dict[str,
         assert 0.232 < nearest < 0.30
 
 
-@pytest.fixture(scope="module")
-def smoke_run(dgeval: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("smoke") / "run"
-    done = dgeval("replay", SMOKE / "ci-smoke.toml", "--out", out, "--no-review", "--jobs", "2")
-    assert done.returncode == 0, done.stderr
-    return out
-
-
-@pytest.mark.slow
-def test_smoke_is_replayed_near_the_truth(smoke_run: Path) -> None:
-    from benchmarks.truth import errors_against_truth
-
-    followed = 0
-    for spec in find_trials([SMOKE / "ci-smoke.toml"]):
-        errors = errors_against_truth(spec, smoke_run)
-        visible = errors[
-            errors["accepted"] & (errors["t_s"] > 0.5) & (errors["t_s"] < errors["t_sight_s"])
-        ]
-        if len(visible) < 10:
-            continue
-        followed += 1
-        assert visible["position_m"].median() < 0.010, spec.id
-        assert visible["velocity_m_s"].median() < 0.020, spec.id
-    # Of the other two, one is out of view within half a second; the mug's thin walls fail the gate
-    # at this resolution.
-    assert followed >= 4
-
-
-@pytest.mark.slow
-def test_stand_ins_are_named_in_the_trial_row(smoke_run: Path) -> None:
-    for notes in pd.read_parquet(smoke_run / "trials.parquet")["notes"]:
-        assert "stand in for FFHNet" in notes
-        assert "modelled" in notes
-
-
 def test_manifest_says_what_it_was_made_from() -> None:
     values = tomllib.loads((SMOKE / "ci-smoke.toml").read_text())
     assert values["simulate"]["scenario"] == "ci-smoke"
