@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dgeval.config import ClockConfig
 from dgeval.recording.camera_poses import far_from_palm
 from dgeval.recording.check import Check
+from dgeval.recording.containers.container import lacks_its_log
 from dgeval.recording.containers.opening import missing_parts
 from dgeval.recording.contract import (
     CLOSE_EVENT,
@@ -326,6 +327,15 @@ def part_check(recording: Path) -> list[Check]:
     if gone:
         what = f"metadata.yaml lists {', '.join(gone)}, which is not in the folder"
         return [Check(PART_CHECK, what, "copy the whole folder")]
+    files = sorted(recording.glob("*.db3")) if recording.is_dir() else [recording]
+    for file in files:
+        if lacks_its_log(file):
+            what = (
+                f"{file.name} was recorded in SQLite's crash-safe mode, and there is neither a "
+                f"metadata.yaml, which a recorder writes at its end, nor a {file.name}-wal"
+            )
+            mend = "copy the whole folder; if the recorder was killed and the -wal is lost, so "
+            return [Check(PART_CHECK, what, mend + "are the last messages")]
     other = unread_part(recording)
     if other is None:
         return []

@@ -16,6 +16,7 @@ from dgeval.recording.closing_motion import (
     NoClose,
     closing_motion,
     lift_after,
+    opens_after,
 )
 from dgeval.recording.contract import (
     CLOSE_EVENT,
@@ -176,14 +177,14 @@ def _by_grippers(
     """The track that shows a close, the close and the lift, ns; None without.
 
     The last change of each track before the palm rises; of several tracks the latest, by then all
-    have been told.
+    have been told. A change after which the fingers are seen to part is an opening.
     """
     best = None
     for track in grippers:
         if track.kind not in kinds:
             continue
         for start, end in reversed(track.changes()):
-            if not first_ns <= start <= last_ns:
+            if not first_ns <= start <= last_ns or opens_after(robot, start, last_ns):
                 continue
             rest = end if end > start else end + round(WITHIN_S * 1e9)
             lift = lift_after(robot, start, rest, last_ns)

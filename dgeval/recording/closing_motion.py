@@ -95,6 +95,18 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
     return NoClose(why, seen, motions[-1][0])
 
 
+def opens_after(robot: RobotStates, t_ns: int, last_ns: int) -> bool:
+    """Whether the fingers part after a time and do not close first; False where none are seen."""
+    tips = _finger_ends(robot)
+    if len(tips) < 2:
+        return False
+    until = min(t_ns + round(WITHIN_S * 1e9), last_ns)
+    _, width = _width(robot, tips, t_ns, until)
+    if len(width) < 2 or width.min() < width[0] - LEAST_M / 2:
+        return False
+    return bool(width[-1] - width[0] > LEAST_M)
+
+
 def _finger_ends(robot: RobotStates) -> tuple[str, ...]:
     """The hand's links with a shape, below which there is no other one, and that can move."""
     description = robot.description

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dgeval.geometry import Array
 
+WIDTHS = ("width", "opening")  # in the names of topics whose number grows as the hand opens
 GRIPPER_WORDS = ("gripper", "finger", "jaw", "hand")
 COMMAND_WORDS = ("command", "cmd", "goal", "desired", "target", "setpoint")
 # words in the last part of a topic's name that is no position, and that is an effort
@@ -65,7 +66,10 @@ class GripperTrack:
     values: Array
 
     def changes(self) -> list[tuple[int, int]]:
-        """Start and end, ns, of each motion; of a command both are when it was given."""
+        """Start and end, ns, of each motion; of a command both are when it was given.
+
+        Of what is called a width only those that make it smaller.
+        """
         span = float(np.ptp(self.values)) if len(self.values) else 0.0
         if self.kind == "command":
             step = np.abs(np.diff(self.values)) > max(CHANGES_BY * span, 1e-6)
@@ -78,7 +82,11 @@ class GripperTrack:
             return [(int(t), int(t)) for t in sorted(given)]
         if span < 1e-6:
             return []
-        return _motions(self.times, self.values, span)
+        motions = _motions(self.times, self.values, span)
+        if not any(word in self.topic.lower() for word in WIDTHS):
+            return motions
+        at = np.interp(np.array(motions).reshape(-1, 2), self.times, self.values)
+        return [m for m, (before, after) in zip(motions, at, strict=True) if after < before]
 
 
 def _motions(times: NDArray[np.int64], values: Array, span: float) -> list[tuple[int, int]]:

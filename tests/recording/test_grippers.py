@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -128,6 +129,45 @@ def test_a_width_topic_tells_the_close(tmp_path: Path, messages: list[Message]) 
     found = trial.event_ns(CLOSE_EVENT)
     assert found is not None
     assert abs(found - close_ns) < 50_000_000
+
+
+def test_a_width_that_grows_again_before_the_palm_rises_is_no_close(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where letting go, which a failed grasp ends with, is taken for the close."""
+    first, close_ns = min(m[0] for m in messages), recorded_close(messages)
+    kind = "std_msgs/msg/Float64"
+    width = []
+    for t in range(first, max(m[0] for m in messages), 20_000_000):
+        after_s = [-0.5 * S, -0.3 * S, 0.0, 0.2 * S]
+        metres = float(np.interp(t - close_ns, after_s, [0.08, 0.03, 0.03, 0.08]))
+        width.append([t, "/gripper/width", kind, TYPES[kind](data=metres)])
+    trial = opened(write(tmp_path / "a.mcap", without_fingers(messages, *width)))
+    found = trial.event_ns(CLOSE_EVENT)
+    assert found is None or abs(found - (close_ns - S // 2)) < 50_000_000
+
+
+def test_a_command_after_which_the_fingers_part_is_no_close(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where the command that opens the hand, after the last one that closes it, decides."""
+    close_ns = recorded_close(messages)
+    kind = "std_msgs/msg/Float64"
+    told = [
+        [close_ns - 80_000_000, "/gripper/command", kind, TYPES[kind](data=0.0)],
+        [close_ns + S // 4, "/gripper/command", kind, TYPES[kind](data=1.0)],
+    ]
+    listed = []
+    for log_ns, topic, type_, value in messages:
+        if topic == EVENTS and event_of(value.data, log_ns).kind in (CLOSE_EVENT, "lift"):
+            continue
+        if topic == JOINTS and log_ns > close_ns + S // 4:
+            moved = np.array(value.position)
+            moved[7:] *= max(0.0, 1 - (log_ns - close_ns - S / 4) / (0.3 * S))
+            value = replace(value, position=moved)
+        listed.append([log_ns, topic, type_, value])
+    trial = opened(write(tmp_path / "a.mcap", [*listed, *told]))
+    assert trial.event_ns(CLOSE_EVENT) in (None, close_ns - 80_000_000)
 
 
 def test_a_command_goes_before_what_the_fingers_show(

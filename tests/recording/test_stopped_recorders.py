@@ -104,6 +104,23 @@ def test_messages_that_are_only_in_the_write_ahead_log(
     assert sha256_of(dead / file.name) != before  # and what lies beside it is a part of it
 
 
+@pytest.mark.parametrize("finished", [False, True])
+def test_a_write_ahead_log_that_is_lost_is_told(
+    tmp_path: Path, messages: list[Message], finished: bool
+) -> None:
+    """Fails where a killed recorder's file, copied without its -wal, is half a trial in silence."""
+    folder = rosbag2(tmp_path / "bag", messages, StoragePlugin.SQLITE3)
+    (file,) = folder.glob("*.db3")
+    with sqlite3.connect(file) as connection:
+        connection.execute("PRAGMA journal_mode=WAL")
+    connection.close()
+    if not finished:
+        (folder / "metadata.yaml").unlink()
+    for given in (file, folder):
+        told = [c for c in opened(given).checks if c.name == "parts"]
+        assert ["-wal" in c.what for c in told] == ([] if finished else [True])
+
+
 def test_a_change_that_was_half_made_is_taken_back(
     tmp_path: Path, messages: list[Message], original: list[Any]
 ) -> None:

@@ -20,6 +20,7 @@ from dgeval.errors import Damage, Place, UndecodableError, describe
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAX_MESSAGE_BYTES = 1 << 30  # a frame that claims more is broken
 MCAP_MAGIC = b"\x89MCAP0\r\n"
+SQLITE_MAGIC = b"SQLite format 3\x00"
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +146,20 @@ def sidecars(file: Path) -> list[Path]:
     """What SQLite left beside a .db3 whose writer was stopped, and that holds a part of it."""
     beside = [file.with_name(f"{file.name}-{end}") for end in ("wal", "journal")]
     return [p for p in beside if p.is_file() and p.stat().st_size]
+
+
+def lacks_its_log(file: Path) -> bool:
+    """Whether a .db3 of SQLite's crash-safe mode lacks its -wal file, which may hold messages.
+
+    It does where its recorder did not end, by writing a metadata.yaml, and there is no such file.
+    """
+    finished = file.with_name("metadata.yaml").is_file()
+    if finished or sidecars(file):
+        return False
+    with file.open("rb") as stream:
+        head = stream.read(len(SQLITE_MAGIC) + 4)
+    # https://www.sqlite.org/fileformat.html, "File format version numbers": 2 is WAL
+    return head.startswith(SQLITE_MAGIC) and head[18:20] == b"\2\2"
 
 
 def sha256_of(path: Path, parts: tuple[Path, ...] = ()) -> str:

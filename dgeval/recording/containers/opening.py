@@ -13,10 +13,15 @@ from pathlib import Path
 import zstandard
 
 from dgeval.errors import Place, UnreadableError, describe
-from dgeval.recording.containers.container import MCAP_MAGIC, ZSTD_MAGIC, Container, Opened
+from dgeval.recording.containers.container import (
+    MCAP_MAGIC,
+    SQLITE_MAGIC,
+    ZSTD_MAGIC,
+    Container,
+    Opened,
+)
 
 BAG_MAGIC = b"#ROSBAG V"
-SQLITE_MAGIC = b"SQLite format 3\x00"
 GZIP_MAGIC = b"\x1f\x8b"
 PACKED = (".zstd", ".zst", ".gz")  # behind a name: the file is compressed as a whole
 STORED = (".mcap", ".db3")  # what a ROS 2 folder holds, also with .zstd behind it
