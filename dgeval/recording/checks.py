@@ -27,6 +27,7 @@ from dgeval.recording.contract import (
     TRIAL_END_EVENT,
     label_of,
 )
+from dgeval.recording.description_checks import other_hand
 from dgeval.recording.events import Events
 from dgeval.recording.frame_checks import SAMPLED, frame_checks, sampled_frames
 from dgeval.recording.frame_reader import FrameReader
@@ -139,6 +140,10 @@ def failed_checks(
             )
     failed += [*_clock_steps(scan, roles), *_gap(window), *_ends_early(scan, roles, window)]
     failed += [Check("joints", what, mend) for what, mend in joint_faults(robot)]
+    other = other_hand(robot)
+    if other is not None:
+        mend = "is it another hand's description? Give the right one (calibration.description)"
+        failed.append(Check("description", other, mend))
     failed += [Check("tree", what, "record one of them") for what in robot.changed]
     if robot.conflict:
         mend = "name the camera's robot: --set frames.namespace=/NAME"

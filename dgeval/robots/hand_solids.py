@@ -41,10 +41,8 @@ def surface_points(shape: LinkShape, in_link: bool = True) -> Array:
 def _solids(shapes: list[LinkShape]) -> Iterator[tuple[LinkShape, Array | None]]:
     """Each solid, and the corners (n, 3) m of a convex one that is no primitive."""
     for shape in shapes:
-        if shape.kind != "hull":
+        if shape.mesh is None:
             yield shape, None
-        elif shape.mesh is None:
-            yield shape, shape.corners
         else:
             for corners in convex_pieces(*shape.mesh):
                 yield shape, corners

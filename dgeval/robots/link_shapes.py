@@ -55,7 +55,7 @@ def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Lin
         if solid is not None:
             kind, size, bound = solid
             if min(size) <= 0:
-                unusable.append(f"a {kind} of size 0")
+                unusable.append(f"a {kind} of size {min(size):g}")
                 continue
             out.append(LinkShape(link.name, kind, T, size, bound=bound))
     return out, unusable

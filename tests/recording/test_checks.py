@@ -83,6 +83,7 @@ def checks_of(
         conflict="",
         hands=(),
         changed=(),
+        hand_links=(),
         joints=JointTrack(),
         description=None,
         T_base_camera=lambda t: np.eye(4) if t < known * 33_000_000 else None,
