@@ -73,11 +73,15 @@ class Draw:
 
 @dataclass(frozen=True)
 class Draws:
-    """The draws that were asked, the share of all draws that fail as recorded, the instrument."""
+    """The draws that were asked, the share of all draws that fail as recorded, the instrument.
+
+    blind: probability that the instrument tells nothing of the trial, however its draws agree.
+    """
 
     asked: tuple[Draw, ...]
     share_reproduced: float
     instrument: str
+    blind: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ def too_uncertain(sd_m: float) -> Unknown | None:
 
 def decide(draws: Draws, min_probability: float) -> Decision:
     """Steps 3 to 5. min_probability: below which the answer is unknown."""
-    p = vote(draws.asked)
+    p = (1 - draws.blind) * vote(draws.asked) + draws.blind / len(CLASSES)
     best = int(np.argmax(p))
     doubt = doubt_of(draws, CLASSES[best], float(p[best]), min_probability)
     if doubt is not None:

@@ -30,6 +30,9 @@ STRAYED_SD = 0.002
 SD_LEAST_M, SD_LEAST_DEG = 0.0015, 1.0  # nothing is known better than that; ours
 # draws are no wider than that; ours
 SD_MOST_M, SD_MOST_DEG = 0.006, 5.0
+# probability that a hand that is known by its description alone tells nothing: of 80 answers whose
+# draws agree 75 % were right (2F-85 and Panda, `benchmarks/results/other_hands.md`)
+BLIND_DESCRIBED = 0.25
 SD_FRICTION, SD_MASS = 0.15, 0.7  # of logarithms; household objects have 70 to 900 kg/m^3
 
 
@@ -105,7 +108,9 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
             break
     if not asked:
         raise ValueError("the physics of this hand at this object is unstable in every draw")
-    return Draws(tuple(asked), sum(reproduced for _, reproduced in probes) / len(probes), "twin")
+    share = sum(reproduced for _, reproduced in probes) / len(probes)
+    blind = BLIND_DESCRIBED if isinstance(scene.gripper, DescribedHand) else 0.0
+    return Draws(tuple(asked), share, "twin", blind)
 
 
 def _force(gripper: Hand, rng: np.random.Generator, k: int) -> float:
