@@ -917,9 +917,9 @@ MUTANTS = [
         "tests/robots/test_described_hand.py",
     ),
     Mutant(
-        "dgeval/robots/hand_geometry.py",
-        "if crank_beside(joints, link) is not None}",
-        "if False}",
+        "dgeval/robots/link_shapes.py",
+        "    if beside is not None:\n",
+        "    if beside is None:\n",
         "tests/robots/test_described_hand.py",
     ),
     Mutant(
@@ -1040,8 +1040,8 @@ MUTANTS = [
 
 
 def copy_tracked(target: Path) -> None:
-    """The tracked files as they are in the working tree, without data sets and pages."""
-    kept = ("dgeval", "benchmarks", "tests", "pyproject.toml")
+    """The tracked files as they are in the working tree, of data sets the demo, without pages."""
+    kept = ("dgeval", "benchmarks", "tests", "pyproject.toml", "datasets/demo.mcap")
     command = ["git", "ls-files", "-z", *kept]
     listed = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout
     for name in filter(None, listed.split("\0")):
