@@ -165,6 +165,16 @@ def _alignment(
     used = _of_picture(model, depth_topic)
     is_rectified = used is not model.intrinsics
     used = _sized(used, d)
+    if d.width and (used.width, used.height) != (d.width, d.height):
+        resized = _resized(used, d)
+        if resized is None:
+            raise UnreadableError(
+                f"{depth_topic} is {d.width}x{d.height}, and its camera_info {info_topic} is of "
+                f"{used.width}x{used.height}",
+                Place(str(scan.opened.path)),
+                "record the camera_info of its own pictures",
+            )
+        used = resized
     lens = None if is_rectified else lens_of(model, used)[0]
     return Alignment(used, colour, T), lens
 
@@ -237,12 +247,20 @@ def _intrinsics(
     return used, notes, lens
 
 
+def _resized(stated: Intrinsics, head: ImageHead) -> Intrinsics | None:
+    """Those of a picture that was resized to another size; None where its sides' ratio differs."""
+    x, y = head.width / stated.width, head.height / stated.height
+    if abs(x / y - 1) >= SAME_SHAPE:
+        return None
+    middle = (stated.cx + 0.5) * x - 0.5, (stated.cy + 0.5) * y - 0.5
+    return Intrinsics(head.width, head.height, stated.fx * x, stated.fy * y, *middle)
+
+
 def _other_size(head: ImageHead, stated: Intrinsics) -> str:
     """What mends intrinsics of another size than the picture's."""
-    x, y = head.width / stated.width, head.height / stated.height
-    if abs(x / y - 1) < SAME_SHAPE:
-        scaled = [stated.fx * x, stated.fy * y]
-        scaled += [(stated.cx + 0.5) * x - 0.5, (stated.cy + 0.5) * y - 0.5]
+    resized = _resized(stated, head)
+    if resized is not None:
+        scaled = (resized.fx, resized.fy, resized.cx, resized.cy)
         numbers = ", ".join(f"{v:.6g}" for v in scaled)
         return f"if the picture was resized: --set 'calibration.intrinsics=[{numbers}]'"
     asked = "give the picture's own: --set 'calibration.intrinsics=[fx, fy, cx, cy]'"

@@ -63,7 +63,7 @@ def wrong_poses(
                 f"the quaternion of the transform to {child!r} is written w first: read so, what "
                 "stands still stays where it is"
             )
-    if comparable.sum() < LEAST_PAIRS:
+    if comparable.sum() < LEAST_PAIRS or _each_fits_another(pairs, given):
         return None
     given = given[~np.isnan(given)]
     share = float(np.median(given)) if len(given) else float("nan")
@@ -73,6 +73,18 @@ def wrong_poses(
             f"to move by {share:.0%}"
         )
     return None
+
+
+def _each_fits_another(pairs: Sequence[MovedPair], given: Array) -> bool:
+    """Whether most frames fit another one from elsewhere. Then what the others show has moved, as
+    where a target comes up to the camera.
+    """
+    best: dict[int, float] = {}  # by frame
+    for pair, misfit in zip(pairs, given.tolist(), strict=True):
+        for frame in (pair.a, pair.b):
+            best[frame.index] = np.fmin(best.get(frame.index, np.nan), misfit)
+    known = [misfit for misfit in best.values() if np.isfinite(misfit)]
+    return bool(known) and float(np.median(known)) <= FITS
 
 
 def far_from_palm(

@@ -29,7 +29,7 @@ from dgeval.recording.contract import (
 )
 from dgeval.recording.description_checks import other_hand
 from dgeval.recording.events import Events
-from dgeval.recording.frame_checks import SAMPLED, frame_checks, sampled_frames
+from dgeval.recording.frame_checks import SAMPLED, frame_checks
 from dgeval.recording.frame_reader import FrameReader
 from dgeval.recording.frozen import frozen_streams
 from dgeval.recording.joint_checks import joint_faults
@@ -77,8 +77,11 @@ def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | N
         return None, _drift_note(scan, roles, robots)
     side = "behind" if apart > 0 else "ahead of"
     what = f"the camera's stamps are {abs(apart):.2f} s {side} those of {topic}, by the recorder"
-    colour, depth = (round(apart * 1e9) + c.offset_ns for c in (clock.colour, clock.depth))
-    mend = f"set clock.colour.offset_ns={colour} and clock.depth.offset_ns={depth}"
+    mend = f"set clock.colour.offset_ns={round(apart * 1e9) + clock.colour.offset_ns}"
+    depth = _delay(scan, roles.depth, clock.depth.offset_ns)
+    if depth is None or abs(depth - robot) > CLOCKS_TOLD_S:
+        depth_apart = apart if depth is None else depth - robot
+        mend += f" and clock.depth.offset_ns={round(depth_apart * 1e9) + clock.depth.offset_ns}"
     if abs(apart) <= MOST_CLOCKS_APART_S:
         return None, f"{what}; if that is no delay of the images: {mend}"
     return Check("clocks", what, mend), ""
@@ -162,7 +165,7 @@ def failed_checks(
     approach = tuple(p for p in window.pairs if close_ns is None or p.t_ns <= close_ns)
     seen = approach if len(approach) >= SAMPLED else window.pairs
     encoding = scan.images[roles.depth].encoding
-    against, not_quite = frame_checks(reader, sampled_frames(reader, seen), encoding != "32FC1")
+    against, not_quite = frame_checks(reader, seen, encoding != "32FC1")
     failed += [check for check in against if check.name not in {c.name for c in failed}]
     if reader.camera.doubt:
         mend = "if so --set 'calibration.T_colour_depth=[0,0,0,0,0,0,1]', else the transform"

@@ -21,7 +21,8 @@ from dgeval.recording.pairing import Pair
 from dgeval.recording.scene_motion import (
     CONTRADICTS,
     NOT_QUITE,
-    fitting_depth,
+    Correction,
+    corrections,
     scene_steps,
     seeming_motion,
 )
@@ -31,22 +32,23 @@ UNITS_M = (1.0, 1e-2, 1e-3, 1e-4, 2.5e-4)  # m per unit of depth, of cameras in 
 NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is that one
 
 
-def sampled_frames(reader: FrameReader, approach: tuple[Pair, ...]) -> list[Frame]:
-    """A few frames of the pairs before the hand lifts what it holds, which then moves with the
-    camera.
-    """
-    at = np.unique(np.linspace(0, len(approach) - 1, SAMPLED).astype(int))
-    pairs = tuple(approach[k] for k in at)
-    return list(replace(reader, pairs=pairs, lost=LostFrames([])).frames())
-
-
 def frame_checks(
-    reader: FrameReader, frames: Sequence[Frame], is_integer: bool
+    reader: FrameReader, approach: tuple[Pair, ...], is_integer: bool
 ) -> tuple[list[Check], str]:
     """The checks that fail, and a note, "" without, on what is near to failing.
 
-    is_integer: whether depth is recorded in whole numbers.
+    approach: pairs before the hand lifts what it holds, which then moves with the camera; a few are
+    looked at. is_integer: whether depth is recorded in whole numbers.
     """
+    at = np.unique(np.linspace(0, len(approach) - 1, SAMPLED).astype(int))
+    lost = LostFrames([])
+    frames = list(replace(reader, pairs=tuple(approach[k] for k in at), lost=lost).frames())
+    if not frames:
+        what = (
+            f"of {len(at)} frames that were looked at: {lost.damage[0].what}" if lost.damage else ""
+        )
+        mend = "see its encoding and size in `dgeval inspect`"
+        return ([Check("frames", what, mend)] if what else []), ""
     by_depth = _against_depth(reader, frames, is_integer)
     if any(check.name == "depth_unit" for check in by_depth):
         return by_depth, ""
@@ -76,13 +78,33 @@ def _unit_check(reader: FrameReader, is_integer: bool, what: str, factor: float)
     """That depth must be `factor` times as large. what: by which it shows."""
     given = reader.camera.depth_scale
     stated = "" if given is None else f" with a scale of {given:g}"
-    used = given or (1e-3 if is_integer else 1.0)
+    return Check("depth_unit", f"{what}{stated}", _unit_mend(reader, is_integer, factor))
+
+
+def _unit_mend(reader: FrameReader, is_integer: bool, factor: float) -> str:
+    used = reader.camera.depth_scale or (1e-3 if is_integer else 1.0)
     scale = used * factor
     near = min(UNITS_M, key=lambda unit: abs(np.log(unit / scale)))
     is_near = abs(np.log(near / scale)) < NEAR_UNIT and near != used
     proposed = near if is_near else scale
-    mend = f"set calibration.depth_scale, in m per unit (probably {proposed:.2g})"
-    return Check("depth_unit", f"{what}{stated}", mend)
+    return f"set calibration.depth_scale, in m per unit (probably {proposed:.2g})"
+
+
+def _correction(reader: FrameReader, is_integer: bool, c: Correction) -> tuple[str, str, str]:
+    """The check's name, what would fit, and the setting that makes it so."""
+    if c.factor != 1.0:
+        mend = _unit_mend(reader, is_integer, c.factor)
+        return "depth_unit", f"depth {c.factor:.2f} times as large", mend
+    if c.focal != 1.0:
+        k = reader.camera.intrinsics
+        numbers = (k.fx * c.focal, k.fy * c.focal, k.cx, k.cy)
+        given = ", ".join(f"{v:.6g}" for v in numbers)
+        mend = f"give the picture's own camera_info, or --set 'calibration.intrinsics=[{given}]'"
+        return "intrinsics", f"focal lengths {c.focal:.2f} times as large", mend
+    offset_m = reader.camera.depth_offset_m + c.farther_m
+    way = "farther away" if c.farther_m > 0 else "nearer"
+    mend = f"calibrate the depth camera, or --set calibration.depth_offset_m={offset_m:g}"
+    return "depth_offset", f"depth {abs(c.farther_m) * 1000:.0f} mm {way}", mend
 
 
 def _against_pictures(
@@ -99,16 +121,15 @@ def _against_pictures(
         f"by the poses of {reader.robot.camera_frame!r} what the pictures show moves along with "
         f"the camera, by {share:.0%} of its way"
     )
-    depth = fitting_depth(steps, share)
-    if depth is not None and depth.farther_m == 0.0:
-        what += f", and stays where it is with depth {depth.factor:.2f} times as large"
-        return [_unit_check(reader, is_integer, what, depth.factor)], ""
-    if depth is not None:
-        offset_m = reader.camera.depth_offset_m + depth.farther_m
-        way = "farther away" if depth.farther_m > 0 else "nearer"
-        what += f", and stays where it is with depth {abs(depth.farther_m) * 1000:.0f} mm {way}"
-        mend = f"calibrate the depth camera, or set calibration.depth_offset_m={offset_m:g}"
-        return [Check("depth_offset", what, mend)], ""
+    found = [_correction(reader, is_integer, c) for c in corrections(steps, share)]
+    if found:
+        name, _, _ = found[0]
+        other = " or ".join(dict.fromkeys(to for _, to, _ in found))
+        mend = "; or ".join(dict.fromkeys(line for _, _, line in found))
+        which = ", and a length that is known tells which: " if len(found) > 1 else ": "
+        return [
+            Check(name, f"{what}, and stays where it is with {other}", f"mend it{which}{mend}")
+        ], ""
     if share <= NOT_QUITE:
         return [], ""
     if share <= CONTRADICTS:

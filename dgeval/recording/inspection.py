@@ -233,6 +233,8 @@ def _answers(
     closed = [] if known else ["a close event"]
     said = isinstance(trial, Trial) and trial.events.label() is not None
     label = [] if said else ["a label event"]
+    if not isinstance(trial, Trial):  # what is marked is known with the trial
+        closed = label = ["a trial that can be opened"]
     belief = [] if out["roles"]["belief"] else ["belief topics"]
     return [
         answer("where is the target in the camera, frame by frame", images),

@@ -41,6 +41,7 @@ NOT_QUITE, CONTRADICTS = 0.015, 0.06
 # is seen, and how many times better it fits; ours
 SUSPECT, EXPLAINED, TIMES_BETTER = 0.010, 0.008, 3.0
 FACTORS = np.geomspace(0.15, 6.6, 97)  # of depth, that are tried; neighbours differ by 4 %
+FOCALS = np.geomspace(0.6, 1.7, 27)  # of focal lengths, that are tried
 FINER = np.linspace(0.96, 1.04, 17)  # of the best of them
 FARTHER_M = np.arange(-0.15, 0.151, 0.005)  # m, on top of depth, that are tried
 LEAST_LEFT = 0.1  # of a point's depth, whatever is taken off
@@ -48,20 +49,22 @@ LEAST_FACTOR, LEAST_FARTHER_M = 0.06, 0.020  # logarithm, m; less is no finding;
 
 
 @dataclass(frozen=True)
-class Depth:
-    """What depth would be if the recorded one were wrong: `factor` times as far, and `farther_m`
-    on top.
+class Correction:
+    """What would be right if depth or intrinsics were wrong: depth `factor` times as far, and
+    `farther_m` on top, and focal lengths `focal` times as large.
     """
 
     factor: float = 1.0
     farther_m: float = 0.0
+    focal: float = 1.0
 
     def of(self, points: Array) -> Array:
-        """Points (n, 3) m of the camera's frame, each along its ray."""
-        return points * np.maximum(self.factor + self.farther_m / points[:, 2:], LEAST_LEFT)
+        """Points (n, 3) m of the camera's frame, each where it would be."""
+        along = np.maximum(self.factor + self.farther_m / points[:, 2:], LEAST_LEFT)
+        return points * along / [self.focal, self.focal, 1.0]
 
 
-AS_RECORDED = Depth()
+AS_RECORDED = Correction()
 
 
 @dataclass(frozen=True)
@@ -79,11 +82,11 @@ class SceneStep:
     a: Array
     b: Array
 
-    def seeming(self, depth: Depth) -> tuple[Array, Array, Array]:
+    def seeming(self, corrected: Correction) -> tuple[Array, Array, Array]:
         """How the scene seems to move by the camera's poses: its middle, the middle's shift, (3,)
         m, and its turn, (3,) rad, a rotation vector, all in the base frame.
         """
-        a, b = depth.of(self.a), depth.of(self.b)
+        a, b = corrected.of(self.a), corrected.of(self.b)
         T_moved = self.T_base_b @ best_rigid(a, b) @ invert(self.T_base_a)
         was = transform(self.T_base_a, a.mean(axis=0)[None])
         shift = transform(T_moved, was) - was
@@ -134,7 +137,7 @@ def _far_enough(posed: Sequence[Frame]) -> Iterator[tuple[int, int]]:
                 break
 
 
-def seeming_motion(steps: Sequence[SceneStep], depth: Depth = AS_RECORDED) -> float | None:
+def seeming_motion(steps: Sequence[SceneStep], corrected: Correction = AS_RECORDED) -> float | None:
     """The share of the camera's motion by which the scene moves neither not at all nor evenly, in
     the best MUST_FIT of the steps. Evenly: with one velocity, and one turn rate about the vertical.
 
@@ -144,7 +147,7 @@ def seeming_motion(steps: Sequence[SceneStep], depth: Depth = AS_RECORDED) -> fl
         return None
     seconds = np.array([s.seconds for s in steps])[:, None]
     middle, shift, turn = (
-        np.array(listed) for listed in zip(*(s.seeming(depth) for s in steps), strict=True)
+        np.array(listed) for listed in zip(*(s.seeming(corrected) for s in steps), strict=True)
     )
     moved = np.array([s.moved_m for s in steps])
     spin = float(np.median(turn[:, 2] / seconds[:, 0]))
@@ -160,28 +163,35 @@ def seeming_motion(steps: Sequence[SceneStep], depth: Depth = AS_RECORDED) -> fl
     return float(min(np.sort(s)[int(MUST_FIT * len(steps))] for s in shares))
 
 
-def fitting_depth(steps: Sequence[SceneStep], seeming: float) -> Depth | None:
-    """The depth with which the scene moves as it should by the camera's poses; None where the
-    recorded one is as good as any, or where no other explains it.
+def corrections(steps: Sequence[SceneStep], seeming: float) -> list[Correction]:
+    """With which the scene moves as it should by the camera's poses, of each kind at most one, the
+    best first. Few where what is recorded is as good as any, or where no other explains it.
 
-    seeming: `seeming_motion` of the steps with depth as recorded.
+    seeming: `seeming_motion` of the steps as recorded.
     """
     if seeming <= SUSPECT:
-        return None
+        return []
     nearest_m = float(np.quantile(np.concatenate([step.a[:, 2] for step in steps]), 0.05))
 
-    def best_of(tried: Iterable[Depth]) -> tuple[float, Depth]:
-        shares = ((seeming_motion(steps, d), d) for d in tried if d.farther_m > -nearest_m / 2)
-        return min(((s, d) for s, d in shares if s is not None), key=lambda found: found[0])
+    def best_of(tried: Iterable[Correction]) -> tuple[float, Correction]:
+        shares = ((seeming_motion(steps, c), c) for c in tried if c.farther_m > -nearest_m / 2)
+        return min(((s, c) for s, c in shares if s is not None), key=lambda found: found[0])
 
-    best = best_of(
-        [Depth(factor=float(f)) for f in FACTORS] + [Depth(farther_m=float(m)) for m in FARTHER_M]
-    )
-    if best[1].farther_m == 0.0:
-        best = best_of(Depth(factor=best[1].factor * float(f)) for f in FINER)
-    left, depth = best
-    is_other = abs(np.log(depth.factor)) >= LEAST_FACTOR or abs(depth.farther_m) >= LEAST_FARTHER_M
-    return depth if is_other and left <= min(EXPLAINED, seeming / TIMES_BETTER) else None
+    factor = best_of(Correction(factor=float(f)) for f in FACTORS)[1].factor
+    focal = best_of(Correction(focal=float(f)) for f in FOCALS)[1].focal
+    found = [
+        best_of(Correction(farther_m=float(m)) for m in FARTHER_M),
+        best_of(Correction(factor=factor * float(f)) for f in FINER),
+        best_of(Correction(focal=focal * float(f)) for f in FINER),
+    ]
+    explains = min(EXPLAINED, seeming / TIMES_BETTER)
+    return [c for left, c in sorted(found, key=lambda f: f[0]) if left <= explains and _is_other(c)]
+
+
+def _is_other(c: Correction) -> bool:
+    """Whether it differs from what is recorded by enough to be told."""
+    share = max(abs(np.log(c.factor)), abs(np.log(c.focal)))
+    return bool(share >= LEAST_FACTOR or abs(c.farther_m) >= LEAST_FARTHER_M)
 
 
 def _points_of(frame: Frame) -> _Points:

@@ -7,8 +7,10 @@ axis, a background that shines through what is in front of it, and cracks.
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from dgeval.geometry import Array, Intrinsics, increment
@@ -110,3 +112,25 @@ def test_one_frame_with_two_matrices_is_not_aligned(
     trial = opened(write(tmp_path / "a.mcap", listed))
     assert trial.reader.camera.alignment is not None
     assert trial.reader.camera.alignment.depth.fx == pytest.approx(0.7 * trial.camera.fx)
+
+
+def _half(message: Message) -> Message:
+    value = replace(message[3])
+    data = np.asarray(value.data, np.uint8)
+    small = np.ascontiguousarray(cv2.imdecode(data[12:], cv2.IMREAD_UNCHANGED)[::2, ::2])
+    value.data = np.concatenate([data[:12], cv2.imencode(".png", small)[1].ravel()])
+    return [*message[:3], value]
+
+
+def test_aligned_depth_at_half_the_resolution_is_read(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where it is said to be brought into the colour picture, and no frame can be used."""
+    halved = [_half(m) if m[1] == DEPTH_TOPIC else m for m in messages]
+    trial = opened(write(tmp_path / "a.mcap", halved))
+    whole = opened(write(tmp_path / "b.mcap", messages))
+    assert trial.checks == ()
+    for frame, expected in zip(trial.frames(), whole.frames(), strict=True):
+        both = (frame.depth > 0) & (expected.depth > 0)
+        assert both.sum() > 0.8 * (expected.depth > 0).sum()
+        assert np.median(np.abs(frame.depth - expected.depth)[both]) < 0.002

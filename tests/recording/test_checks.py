@@ -91,7 +91,6 @@ def checks_of(
     window = Window(0, stamps[-1], pairs, 0, 0, faults)
     reader: Any = SimpleNamespace(robot=robot, camera=SimpleNamespace(doubt=""))
     monkeypatch.setattr("dgeval.recording.checks.frame_checks", lambda *_: ([], ""))
-    monkeypatch.setattr("dgeval.recording.checks.sampled_frames", lambda *_: [])
     failed, _ = failed_checks(scan, roles, robot, window, reader, Config().clock, None)
     return [c.name for c in failed]
 

@@ -19,8 +19,8 @@ from dgeval.recording.scene_motion import (
     CONTRADICTS,
     LEAST_STEPS,
     NOT_QUITE,
-    Depth,
-    fitting_depth,
+    Correction,
+    corrections,
     scene_steps,
     seeming_motion,
 )
@@ -118,30 +118,34 @@ def test_an_axis_that_runs_the_other_way_is_told() -> None:
     assert said(wrong) > CONTRADICTS
 
 
-def fitting(listed: list[Frame]) -> Depth | None:
+def corrected(listed: list[Frame]) -> list[Correction]:
     steps = scene_steps(listed)
     share = seeming_motion(steps)
     assert share is not None
-    return fitting_depth(steps, share)
+    return corrections(steps, share)
 
 
 @pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.05, 0.08)])
-@pytest.mark.parametrize("wrong", [Depth(farther_m=0.04), Depth(farther_m=-0.03), Depth(0.4),
-                                   Depth(0.8), Depth(1.1)])  # fmt: skip
-def test_wrong_depth_is_told_with_what_it_lacks(
-    wrong: Depth, velocity: tuple[float, float]
+@pytest.mark.parametrize("wrong", [Correction(farther_m=0.04), Correction(farther_m=-0.03),
+                                   Correction(0.4), Correction(0.8), Correction(1.1),
+                                   Correction(focal=1.15), Correction(focal=0.8)])  # fmt: skip
+def test_wrong_depth_and_focal_lengths_are_told_with_what_they_lack(
+    wrong: Correction, velocity: tuple[float, float]
 ) -> None:
     """Fails where a depth camera that measures 40 mm too far is wrong without a word, or where what
-    would mend it is another number.
+    would mend it is another number, or a focal length that is wrong is laid on depth.
     """
+    camera = replace(CAMERA, fx=CAMERA.fx * wrong.focal, fy=CAMERA.fy * wrong.focal)
     listed = [
-        replace(f, depth=(f.depth * wrong.factor + wrong.farther_m).astype(np.float32))
+        replace(
+            f, depth=(f.depth * wrong.factor + wrong.farther_m).astype(np.float32), camera=camera
+        )
         for f in frames(velocity)
     ]
-    found = fitting(listed)
-    assert found is not None
+    found = corrected(listed)[0]
     assert found.factor == pytest.approx(1 / wrong.factor, rel=0.01)
     assert found.farther_m == pytest.approx(-wrong.farther_m, abs=0.0051)
+    assert found.focal == pytest.approx(1 / wrong.focal, rel=0.02)
 
 
 def test_right_depth_and_wrong_poses_are_not_laid_on_depth() -> None:
@@ -152,8 +156,8 @@ def test_right_depth_and_wrong_poses_are_not_laid_on_depth() -> None:
         assert f.T_base_camera is not None
         listed.append(replace(f, T_base_camera=f.T_base_camera @ turned))
     assert said(listed) > NOT_QUITE
-    assert fitting(listed) is None
-    assert fitting(frames()) is None
+    assert corrected(listed) == []
+    assert corrected(frames()) == []
 
 
 def test_a_hand_that_fills_half_of_the_picture_is_left_out() -> None:
@@ -223,7 +227,11 @@ def test_depth_that_is_40_mm_too_far_fails_its_check_with_what_mends_it(
     wrong = [_with_depth(m, lambda mm: mm + 40) if m[1] == DEPTH else m for m in messages]
     path = write(tmp_path / "a.mcap", wrong)
     (told,) = opened(path).checks
-    assert told.name == "depth_offset"
+    assert "depth 40 mm nearer" in told.what
+    # over this flat table another focal length explains it as well, which is said
+    assert told.name in ("depth_offset", "intrinsics")
+    assert "calibration.intrinsics" in told.mend
+    assert "tells which" in told.mend
     setting = re.search(r"calibration\.depth_offset_m=[-\d.]+", told.mend)
     assert setting is not None
     mended = opened(path, setting[0])

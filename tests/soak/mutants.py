@@ -930,14 +930,14 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/scene_motion.py",
-        "best = best_of(Depth(factor=best[1].factor * float(f)) for f in FINER)",
-        "best = best_of(Depth(factor=float(f)) for f in FINER)",
+        "best_of(Correction(focal=focal * float(f)) for f in FINER)",
+        "best_of(Correction(focal=float(f)) for f in FINER)",
         "tests/recording/test_scene_motion.py",
     ),
     Mutant(
         "dgeval/recording/frame_checks.py",
-        "offset_m = reader.camera.depth_offset_m + depth.farther_m",
-        "offset_m = reader.camera.depth_offset_m - depth.farther_m",
+        "offset_m = reader.camera.depth_offset_m + found.farther_m",
+        "offset_m = reader.camera.depth_offset_m - found.farther_m",
         "tests/recording/test_scene_motion.py",
     ),
     Mutant(
