@@ -147,7 +147,8 @@ def _print(inspection: dict[str, Any]) -> None:
             typer.echo(f"  {timing['proposal']}")
     for event in inspection["events"]:
         typer.echo(f"event: {event['event']} at {event['t_ns']} ns")
-    for note in inspection["notes"]:
+    checks = {f"check {c['name']}: {c['what']}; {c['mend']}" for c in inspection["checks"]}
+    for note in (n for n in inspection["notes"] if n not in checks):
         typer.echo(f"note: {note}")
     for check in inspection["checks"]:
         typer.echo(f"check failed: {check['name']}: {check['what']}; {check['mend']}")

@@ -936,8 +936,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/frame_checks.py",
-        "offset_m = reader.camera.depth_offset_m + found.farther_m",
-        "offset_m = reader.camera.depth_offset_m - found.farther_m",
+        "offset_m = reader.camera.depth_offset_m + c.farther_m",
+        "offset_m = reader.camera.depth_offset_m - c.farther_m",
         "tests/recording/test_scene_motion.py",
     ),
     Mutant(
