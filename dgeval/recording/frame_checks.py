@@ -44,11 +44,8 @@ def frame_checks(
     lost = LostFrames([])
     frames = list(replace(reader, pairs=tuple(approach[k] for k in at), lost=lost).frames())
     if not frames:
-        what = (
-            f"of {len(at)} frames that were looked at: {lost.damage[0].what}" if lost.damage else ""
-        )
-        mend = "see its encoding and size in `dgeval inspect`"
-        return ([Check("frames", what, mend)] if what else []), ""
+        mend = "see encodings and sizes in `dgeval inspect`"
+        return [Check("frames", damage.what, mend) for damage in lost.damage], ""
     by_depth = _against_depth(reader, frames, is_integer)
     if any(check.name == "depth_unit" for check in by_depth):
         return by_depth, ""
@@ -126,10 +123,8 @@ def _against_pictures(
         name, _, _ = found[0]
         other = " or ".join(dict.fromkeys(to for _, to, _ in found))
         mend = "; or ".join(dict.fromkeys(line for _, _, line in found))
-        which = ", and a length that is known tells which: " if len(found) > 1 else ": "
-        return [
-            Check(name, f"{what}, and stays where it is with {other}", f"mend it{which}{mend}")
-        ], ""
+        which = "a length that you know tells which: " if len(found) > 1 else ""
+        return [Check(name, f"{what}, and stays where it is with {other}", which + mend)], ""
     if share <= NOT_QUITE:
         return [], ""
     if share <= CONTRADICTS:

@@ -222,6 +222,8 @@ def _answers(
     failed = {c.name for c in trial.checks} if isinstance(trial, Trial) else set[str]()
     if failed & {"poses", "camera_poses"}:
         pose = ["camera poses that can be used"]
+    if failed & {"depth_unit", "depth_offset", "intrinsics", "frames"}:
+        images = ["depth and intrinsics that can be used"]
     hand = [] if robot is not None and robot.palm_frame else ["hand_pose"]
     geometry: list[str] = []
     if robot is None or robot.description is None:
