@@ -128,7 +128,9 @@ def _against_pictures(
     if share <= NOT_QUITE:
         return [], ""
     if share <= CONTRADICTS:
-        return [], f"{what}: the hand-eye calibration or a joint's scale is not quite right"
+        causes = "the hand-eye calibration, a joint's scale, the principal point (was the picture "
+        causes += "cut?) or the time of pictures or joint states"
+        return [], f"{what}: {causes} is not quite right"
     mend = (
         "are the pictures mirrored or turned, is the hand-eye calibration right, and have the "
         "joints above the camera the description's names, signs and units?"

@@ -211,6 +211,10 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)
     if len(used) > 1:
         notes.append(f"joint states are merged from {', '.join(used)}")
+    for topic in used:
+        header, _ = scan.times[topic].arrays()
+        if len(header) and not header.any():
+            notes.append(f"the states of {topic} bear no stamps: the recorder's times are used")
     left = [topic for topic in roles.joints if topic not in used]
     if left and not joints_mixed:
         notes.append(f"{', '.join(left)} are another robot's joint states and are not used")

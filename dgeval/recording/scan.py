@@ -316,7 +316,16 @@ def _onto_the_stamps_clock(found: Scan) -> None:
         for name, times in found.times.items()
         if found.opened.topics[name].type in STAMPED and not name.endswith("static")
     }
+    stamped = {name: (header, log) for name, (header, log) in stamped.items() if header.any()}
     found.recorder_clock = clock = recorder_clock(stamped)
+    for topic, samples in found.joints.items():
+        log_ns = found.times[topic].log_ns
+        if len(samples) > 1 and len(samples) == len(log_ns) and not any(s.t_ns for s in samples):
+            # never stamped: the recorder's time is all there is
+            found.joints[topic] = [
+                replace(s, t_ns=t if clock is None else clock.stamp_ns(t))
+                for s, t in zip(samples, log_ns, strict=True)
+            ]
     if clock is None:
         return
     found.events = [

@@ -561,3 +561,23 @@ def test_of_two_descriptions_that_with_the_images_frame(
     trial = opened(write(tmp_path / "a.mcap", listed))
     assert trial.robot.description is not None
     assert frame in trial.robot.description.joints
+
+
+def test_joint_states_without_stamps_have_the_recorders_times(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a driver that leaves its stamps at zero costs every pose, and is said to count
+    from a start.
+    """
+    listed = []
+    for message in messages:
+        if message[1] == JOINTS:
+            message = [*message[:3], copy.deepcopy(message[3])]
+            message[3].header.stamp.sec = message[3].header.stamp.nanosec = 0
+        listed.append(message)
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert trial.checks == ()
+    assert any("bear no stamps" in note for note in trial.notes)
+    frames = list(trial.frames())
+    assert len(frames) == len(list(opened(write(tmp_path / "b.mcap", messages)).frames()))
+    assert all(f.T_base_camera is not None for f in frames)
