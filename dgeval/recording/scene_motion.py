@@ -165,7 +165,7 @@ def seeming_motion(steps: Sequence[SceneStep], corrected: Correction = AS_RECORD
 
 def corrections(steps: Sequence[SceneStep], seeming: float) -> list[Correction]:
     """With which the scene moves as it should by the camera's poses, of each kind at most one, the
-    best first. Few where what is recorded is as good as any, or where no other explains it.
+    best first. None where what is recorded is as good as any, or where no other explains it.
 
     seeming: `seeming_motion` of the steps as recorded.
     """

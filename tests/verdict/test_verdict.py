@@ -358,7 +358,8 @@ def test_fingers_that_close_elsewhere_tell_a_wrong_place(tmp_path: Path) -> None
         -0.2,
         0.3,
         -0.2,
-        Faults(registration_bias=(0.0, -0.025, 0, 0, 0, 0)),
+        # at 25 mm the last bits of a CPU decide whether the fingers touch the cube at all
+        Faults(registration_bias=(0.0, -0.015, 0, 0, 0, 0)),
         5,
         0,
     )
