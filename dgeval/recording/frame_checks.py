@@ -7,38 +7,43 @@ move evenly, sees them move by that way.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dgeval.config import ClockConfig
 from dgeval.recording.camera_motion import moved_pairs
 from dgeval.recording.camera_poses import wrong_poses
 from dgeval.recording.check import Check
+from dgeval.recording.depth_edges import DepthOff, depth_off
 from dgeval.recording.depth_unit import wrong_unit
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.pairing import Pair
+from dgeval.recording.scene_corrections import corrections
 from dgeval.recording.scene_motion import (
     CONTRADICTS,
     NOT_QUITE,
     Correction,
-    corrections,
     scene_steps,
     seeming_motion,
 )
 
 SAMPLED = 12  # frames of a trial that are looked at
 UNITS_M = (1.0, 1e-2, 1e-3, 1e-4, 2.5e-4)  # m per unit of depth, of cameras in use
+MUST_TELL_BESIDE = 0.034  # of the width, by which depth beside colour fails; less is a note; ours
+# s and rad, from which on a delay and a turned camera fail the check; less is a note; ours
+MUST_TELL_S, MUST_TELL_TURN = 0.04, np.radians(2.0)
 NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is that one
 
 
 def frame_checks(
-    reader: FrameReader, approach: tuple[Pair, ...], is_integer: bool
+    reader: FrameReader, approach: tuple[Pair, ...], is_integer: bool, clock: ClockConfig
 ) -> tuple[list[Check], str]:
     """The checks that fail, and a note, "" without, on what is near to failing.
 
     approach: pairs before the hand lifts what it holds, which then moves with the camera; a few are
-    looked at. is_integer: whether depth is recorded in whole numbers.
+    looked at. is_integer: whether depth is recorded in whole numbers. clock: as it is set.
     """
     at = np.unique(np.linspace(0, len(approach) - 1, SAMPLED).astype(int))
     lost = LostFrames([])
@@ -46,10 +51,37 @@ def frame_checks(
     if not frames:
         mend = "see encodings and sizes in `dgeval inspect`"
         return [Check("frames", damage.what, mend) for damage in lost.damage], ""
+    beside = depth_off(frames)
+    what, mend = ("", "") if beside is None else _beside(beside)
+    if beside is not None and (beside.turned or beside.share >= MUST_TELL_BESIDE):
+        return [Check("alignment", what, mend)], ""
+    failed, note = _of_camera(reader, frames, is_integer, clock)
+    return failed, "; ".join(text for text in (what and f"{what}: {mend}", note) if text)
+
+
+def _beside(off: DepthOff) -> tuple[str, str]:
+    """What is said of depth that does not lie on colour, and what mends it."""
+    if off.turned:
+        what = f"steps of depth lie on colour's edges only where depth is turned, {off.turned}"
+        return what, "record both pictures the same way round (a driver's flip or rotation?)"
+    sides = (
+        (abs(off.right), "right" if off.right > 0 else "left"),
+        (abs(off.down), "below" if off.down > 0 else "above"),
+    )
+    where = " and ".join(f"{px:.0f} px {side}" for px, side in sides if px >= 1)
+    mend = "is it registered to colour? Record the aligned depth, or depth's own frame and "
+    mend += "camera_info; or are its stamps late (clock.depth.offset_ns)?"
+    return f"steps of depth lie {where} of colour's edges", mend
+
+
+def _of_camera(
+    reader: FrameReader, frames: Sequence[Frame], is_integer: bool, clock: ClockConfig
+) -> tuple[list[Check], str]:
+    """The checks of depth and camera that fail, and a note, "" without, on what is near to it."""
     by_depth = _against_depth(reader, frames, is_integer)
     if any(check.name == "depth_unit" for check in by_depth):
         return by_depth, ""
-    by_pictures, note = _against_pictures(reader, frames, is_integer)
+    by_pictures, note = _against_pictures(reader, frames, is_integer, clock)
     # wrong depth contradicts the poses too, and is the better answer where it explains everything
     if by_depth and not any(check.name != "camera_poses" for check in by_pictures):
         return by_depth, ""
@@ -87,25 +119,61 @@ def _unit_mend(reader: FrameReader, is_integer: bool, factor: float) -> str:
     return f"set calibration.depth_scale, in m per unit (probably {proposed:.2g})"
 
 
-def _correction(reader: FrameReader, is_integer: bool, c: Correction) -> tuple[str, str, str]:
+@dataclass(frozen=True)
+class _Told:
     """The check's name, what would fit, and the setting that makes it so."""
+
+    name: str
+    fits: str
+    mend: str
+
+
+def _told(reader: FrameReader, is_integer: bool, clock: ClockConfig, c: Correction) -> _Told:
     if c.factor != 1.0:
         mend = _unit_mend(reader, is_integer, c.factor)
-        return "depth_unit", f"depth {c.factor:.2f} times as large", mend
+        return _Told("depth_unit", f"depth {c.factor:.2f} times as large", mend)
     if c.focal != 1.0:
+        return _intrinsics(reader, f"focal lengths {c.focal:.2f} times as large", c)
+    if any(c.principal):
         k = reader.camera.intrinsics
-        numbers = (k.fx * c.focal, k.fy * c.focal, k.cx, k.cy)
-        given = ", ".join(f"{v:.6g}" for v in numbers)
-        mend = f"give the picture's own camera_info, or --set 'calibration.intrinsics=[{given}]'"
-        return "intrinsics", f"focal lengths {c.focal:.2f} times as large", mend
+        right, down = c.principal[0] * k.fx, c.principal[1] * k.fy
+        where = f"{abs(right):.0f} px farther {'right' if right > 0 else 'left'}"
+        where += f" and {abs(down):.0f} px {'down' if down > 0 else 'up'}"
+        return _intrinsics(reader, f"the principal point {where} (was the picture cut?)", c)
+    if any(c.turned):
+        degrees = np.degrees(np.linalg.norm(c.turned))
+        mend = "calibrate it anew (hand-eye; calibration.T_flange_camera)"
+        return _Told("camera_poses", f"the camera turned by {degrees:.1f}° in its mount", mend)
+    if c.later_s != 0.0:
+        ns = round(c.later_s * 1e9)
+        mend = f"set clock.colour.offset_ns={ns + clock.colour.offset_ns} and "
+        mend += f"clock.depth.offset_ns={ns + clock.depth.offset_ns}, or the robot's clock by as "
+        way = "later" if ns > 0 else "earlier"
+        fits = f"pictures taken {abs(ns) * 1e-6:.0f} ms {way} than they are stamped"
+        return _Told("clocks", fits, mend + "much the other way")
     offset_m = reader.camera.depth_offset_m + c.farther_m
     way = "farther away" if c.farther_m > 0 else "nearer"
     mend = f"calibrate the depth camera, or --set calibration.depth_offset_m={offset_m:g}"
-    return "depth_offset", f"depth {abs(c.farther_m) * 1000:.0f} mm {way}", mend
+    return _Told("depth_offset", f"depth {abs(c.farther_m) * 1000:.0f} mm {way}", mend)
+
+
+def _intrinsics(reader: FrameReader, fits: str, c: Correction) -> _Told:
+    k = reader.camera.intrinsics
+    centre = (k.cx + c.principal[0] * k.fx, k.cy + c.principal[1] * k.fy)
+    given = ", ".join(f"{v:.6g}" for v in (k.fx * c.focal, k.fy * c.focal, *centre))
+    mend = f"give the picture's own camera_info, or --set 'calibration.intrinsics=[{given}]'"
+    return _Told("intrinsics", fits, mend)
+
+
+def _must_be_told(c: Correction) -> bool:
+    """Whether what is wrong by this much makes numbers wrong, and not only less exact."""
+    if c.later_s != 0.0:
+        return abs(c.later_s) >= MUST_TELL_S - 1e-9
+    return not any(c.turned) or float(np.linalg.norm(c.turned)) >= MUST_TELL_TURN
 
 
 def _against_pictures(
-    reader: FrameReader, frames: Sequence[Frame], is_integer: bool
+    reader: FrameReader, frames: Sequence[Frame], is_integer: bool, clock: ClockConfig
 ) -> tuple[list[Check], str]:
     """Whether the camera's poses and depth fit what its pictures show, and a note, "" without,
     where they hardly do.
@@ -116,21 +184,26 @@ def _against_pictures(
         return [], ""
     what = (
         f"by the poses of {reader.robot.camera_frame!r} what the pictures show moves along with "
-        f"the camera, by {share:.0%} of its way"
+        f"the camera, by {share:.1%} of its way"
     )
-    found = [_correction(reader, is_integer, c) for c in corrections(steps, share)]
-    if found:
-        name, _, _ = found[0]
-        other = " or ".join(dict.fromkeys(to for _, to, _ in found))
-        mend = "; or ".join(dict.fromkeys(line for _, _, line in found))
-        which = "a length that you know tells which: " if len(found) > 1 else ""
-        return [Check(name, f"{what}, and stays where it is with {other}", which + mend)], ""
+    fitting = corrections(steps, share, reader.robot.T_base_camera)
+    if fitting:
+        found = [_told(reader, is_integer, clock, c) for c in fitting]
+        other = ", or ".join(dict.fromkeys(told.fits for told in found))
+        mend = "; or ".join(dict.fromkeys(told.mend for told in found))
+        which = "what you know of the camera tells which: " if len(found) > 1 else ""
+        check = Check(
+            found[0].name, f"{what}, and would stay where it is with {other}", which + mend
+        )
+        if any(_must_be_told(c) for c in fitting):
+            return [check], ""
+        return [], f"{check.what}; {check.mend}"
     if share <= NOT_QUITE:
         return [], ""
     if share <= CONTRADICTS:
-        causes = "the hand-eye calibration, a joint's scale, the principal point (was the picture "
-        causes += "cut?) or the time of pictures or joint states"
-        return [], f"{what}: {causes} is not quite right"
+        causes = "the hand-eye calibration, a joint's scale, or the intrinsics (was the picture "
+        causes += "cut?)"
+        return [], f"{what}: {causes} are not quite right"
     mend = (
         "are the pictures mirrored or turned, is the hand-eye calibration right, and have the "
         "joints above the camera the description's names, signs and units?"

@@ -8,7 +8,7 @@ camera that itself moves evenly all the time, the wrong axis can't be told from 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dgeval.determinism import generator
-from dgeval.geometry import Array, best_rigid, invert, transform
+from dgeval.geometry import Array, best_rigid, increment, invert, transform
 from dgeval.recording.frame import Frame
 
 WIDTH = 320  # px, of the pictures in which points are looked for
@@ -37,31 +37,32 @@ LEAST_SPIN = 0.05  # rad/s, about the vertical, of a scene that is said to turn
 # 42 of 49; with depth 40 mm too far more than 0.015 in 34 of 47
 MUST_FIT = 0.4
 NOT_QUITE, CONTRADICTS = 0.015, 0.06
-# from which share on another depth is tried, the share that is left at most where it explains what
-# is seen, and how many times better it fits; ours
-SUSPECT, EXPLAINED, TIMES_BETTER = 0.010, 0.008, 3.0
-FACTORS = np.geomspace(0.15, 6.6, 97)  # of depth, that are tried; neighbours differ by 4 %
-FOCALS = np.geomspace(0.6, 1.7, 27)  # of focal lengths, that are tried
-FINER = np.linspace(0.96, 1.04, 17)  # of the best of them
-FARTHER_M = np.arange(-0.15, 0.151, 0.005)  # m, on top of depth, that are tried
 LEAST_LEFT = 0.1  # of a point's depth, whatever is taken off
-LEAST_FACTOR, LEAST_FARTHER_M = 0.06, 0.020  # logarithm, m; less is no finding; ours
 
 
 @dataclass(frozen=True)
 class Correction:
-    """What would be right if depth or intrinsics were wrong: depth `factor` times as far, and
-    `farther_m` on top, and focal lengths `focal` times as large.
+    """What would be right if something of the recording were wrong; by default nothing is.
+
+    factor, farther_m: depth is `factor` times as far, and `farther_m` on top. focal: focal lengths
+    are `focal` times as large. principal (2,): the principal point is farther right and down, in
+    focal lengths. turned (3,) rad: the camera's pose is T_base_camera followed by this rotation
+    vector, in the camera's frame. later_s: the robot was where the pictures were taken this much
+    after their stamps.
     """
 
     factor: float = 1.0
     farther_m: float = 0.0
     focal: float = 1.0
+    principal: tuple[float, float] = (0.0, 0.0)
+    turned: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    later_s: float = 0.0
 
     def of(self, points: Array) -> Array:
-        """Points (n, 3) m of the camera's frame, each where it would be."""
+        """Points (n, 3) m of the camera's frame, each where it would be. Poses are apart."""
         along = np.maximum(self.factor + self.farther_m / points[:, 2:], LEAST_LEFT)
-        return points * along / [self.focal, self.focal, 1.0]
+        moved = points - points[:, 2:] * [*self.principal, 0.0]
+        return moved * along / [self.focal, self.focal, 1.0]
 
 
 AS_RECORDED = Correction()
@@ -71,24 +72,32 @@ AS_RECORDED = Correction()
 class SceneStep:
     """Two frames by whose points most of what is seen moves as one.
 
-    seconds: between them. moved_m: by the camera. T_base_a, T_base_b (4, 4): its given poses.
+    t_a_ns, t_b_ns: their times. moved_m: by the camera. T_base_a, T_base_b (4, 4): its given poses.
     a, b (n, 3) m: the same points in the camera's frame, then and later.
     """
 
-    seconds: float
+    t_a_ns: int
+    t_b_ns: int
     moved_m: float
     T_base_a: Array
     T_base_b: Array
     a: Array
     b: Array
 
+    @property
+    def seconds(self) -> float:
+        """Between the two, s."""
+        return (self.t_b_ns - self.t_a_ns) * 1e-9
+
     def seeming(self, corrected: Correction) -> tuple[Array, Array, Array]:
         """How the scene seems to move by the camera's poses: its middle, the middle's shift, (3,)
         m, and its turn, (3,) rad, a rotation vector, all in the base frame.
         """
         a, b = corrected.of(self.a), corrected.of(self.b)
-        T_moved = self.T_base_b @ best_rigid(a, b) @ invert(self.T_base_a)
-        was = transform(self.T_base_a, a.mean(axis=0)[None])
+        T_turned = increment(np.array([0.0, 0.0, 0.0, *corrected.turned]))
+        T_base_a, T_base_b = self.T_base_a @ T_turned, self.T_base_b @ T_turned
+        T_moved = T_base_b @ best_rigid(a, b) @ invert(T_base_a)
+        was = transform(T_base_a, a.mean(axis=0)[None])
         shift = transform(T_moved, was) - was
         return was[0], shift[0], Rotation.from_matrix(T_moved[:3, :3]).as_rotvec()
 
@@ -119,8 +128,7 @@ def scene_steps(frames: Sequence[Frame]) -> list[SceneStep]:
         moved_m = float(np.linalg.norm(T_b[:3, 3] - T_a[:3, 3]))
         shared = _moving_as_one(*_same_points(seen[i], seen[j]), moved_m, rng)
         if shared is not None:
-            seconds = (posed[j].t_ns - posed[i].t_ns) * 1e-9
-            out.append(SceneStep(seconds, moved_m, T_a, T_b, *shared))
+            out.append(SceneStep(posed[i].t_ns, posed[j].t_ns, moved_m, T_a, T_b, *shared))
     return out
 
 
@@ -161,37 +169,6 @@ def seeming_motion(steps: Sequence[SceneStep], corrected: Correction = AS_RECORD
         for velocity in evenly / seconds
     ]
     return float(min(np.sort(s)[int(MUST_FIT * len(steps))] for s in shares))
-
-
-def corrections(steps: Sequence[SceneStep], seeming: float) -> list[Correction]:
-    """With which the scene moves as it should by the camera's poses, of each kind at most one, the
-    best first. None where what is recorded is as good as any, or where no other explains it.
-
-    seeming: `seeming_motion` of the steps as recorded.
-    """
-    if seeming <= SUSPECT:
-        return []
-    nearest_m = float(np.quantile(np.concatenate([step.a[:, 2] for step in steps]), 0.05))
-
-    def best_of(tried: Iterable[Correction]) -> tuple[float, Correction]:
-        shares = ((seeming_motion(steps, c), c) for c in tried if c.farther_m > -nearest_m / 2)
-        return min(((s, c) for s, c in shares if s is not None), key=lambda found: found[0])
-
-    factor = best_of(Correction(factor=float(f)) for f in FACTORS)[1].factor
-    focal = best_of(Correction(focal=float(f)) for f in FOCALS)[1].focal
-    found = [
-        best_of(Correction(farther_m=float(m)) for m in FARTHER_M),
-        best_of(Correction(factor=factor * float(f)) for f in FINER),
-        best_of(Correction(focal=focal * float(f)) for f in FINER),
-    ]
-    explains = min(EXPLAINED, seeming / TIMES_BETTER)
-    return [c for left, c in sorted(found, key=lambda f: f[0]) if left <= explains and _is_other(c)]
-
-
-def _is_other(c: Correction) -> bool:
-    """Whether it differs from what is recorded by enough to be told."""
-    share = max(abs(np.log(c.factor)), abs(np.log(c.focal)))
-    return bool(share >= LEAST_FACTOR or abs(c.farther_m) >= LEAST_FARTHER_M)
 
 
 def _points_of(frame: Frame) -> _Points:

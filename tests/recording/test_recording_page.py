@@ -68,6 +68,6 @@ def test_every_check_is_listed() -> None:
         (ROOT / "dgeval" / name).read_text(encoding="utf-8")
         for name in ("recording/checks.py", "recording/frame_checks.py", "runs/target_told.py")
     )
-    made = {*re.findall(r'(?:Check\(\s*|return )"(\w+)", ', code), PART_CHECK}
+    made = {*re.findall(r'(?:(?:Check|_Told)\(\s*|return )"(\w+)", ', code), PART_CHECK}
     listed = set(re.findall(r"^\| `(\w+)` \|", PAGE.split("# Checks")[1], re.MULTILINE))
     assert made == listed

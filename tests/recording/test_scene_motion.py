@@ -5,6 +5,7 @@ The scene is a textured plane, whose picture from any place is a homography, by 
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,16 +16,16 @@ import numpy as np
 import pytest
 from dgeval.geometry import Array, Intrinsics, increment, invert
 from dgeval.recording.frame import Frame
+from dgeval.recording.scene_corrections import corrections
 from dgeval.recording.scene_motion import (
     CONTRADICTS,
     LEAST_STEPS,
     NOT_QUITE,
     Correction,
-    corrections,
     scene_steps,
     seeming_motion,
 )
-from tests.recording.recorders import COLOUR, DEPTH, Message, opened, write
+from tests.recording.recorders import COLOUR, DEPTH, JOINTS, Message, opened, write
 
 CAMERA = Intrinsics(320, 240, 290.0, 290.0, 159.5, 119.5)
 PERIOD_NS = 300_000_000
@@ -43,7 +44,7 @@ def texture(seed: int = 4) -> np.ndarray:
 TEXTURE = texture()
 
 
-def camera_at(k: int) -> Array:
+def camera_at(k: float) -> Array:
     """T_base_camera, m: down and sideways, on a curve."""
     T = LOOKS_DOWN.copy()
     T[:3, 3] = [0.1 * np.sin(0.6 * k), 0.05 * k - 0.2, 0.75 - 0.04 * k]
@@ -118,11 +119,18 @@ def test_an_axis_that_runs_the_other_way_is_told() -> None:
     assert said(wrong) > CONTRADICTS
 
 
-def corrected(listed: list[Frame]) -> list[Correction]:
+def pose_at(t_ns: int) -> Array:
+    """T_base_camera of the camera's way at any time."""
+    return camera_at(t_ns / PERIOD_NS)
+
+
+def corrected(
+    listed: list[Frame], poses: Callable[[int], Array | None] = pose_at
+) -> list[Correction]:
     steps = scene_steps(listed)
     share = seeming_motion(steps)
     assert share is not None
-    return corrections(steps, share)
+    return corrections(steps, share, poses)
 
 
 @pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.05, 0.08)])
@@ -148,15 +156,56 @@ def test_wrong_depth_and_focal_lengths_are_told_with_what_they_lack(
     assert found.focal == pytest.approx(1 / wrong.focal, rel=0.02)
 
 
-def test_right_depth_and_wrong_poses_are_not_laid_on_depth() -> None:
-    """Fails where a hand-eye calibration that is 6 degrees off becomes an error of depth."""
-    turned = increment(np.array([0.0, 0.0, 0.0, 0.0, np.radians(6.0), 0.0]))
+def turned(degrees: float) -> Array:
+    """(4, 4) about the camera's y axis."""
+    return increment(np.array([0.0, 0.0, 0.0, 0.0, np.radians(degrees), 0.0]))
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.05, 0.08)])
+def test_a_turned_camera_is_told_and_not_laid_on_depth(velocity: tuple[float, float]) -> None:
+    """Fails where a hand-eye calibration that is 4 degrees off becomes an error of depth, or is
+    told without its size.
+    """
+    listed = []
+    for f in frames(velocity):
+        assert f.T_base_camera is not None
+        listed.append(replace(f, T_base_camera=f.T_base_camera @ turned(-4.0)))
+    found = corrected(listed, lambda t_ns: pose_at(t_ns) @ turned(-4.0))
+    assert found[0].turned[1] == pytest.approx(np.radians(4.0), abs=np.radians(0.6))
+    assert all(c.factor == c.focal == 1.0 and c.farther_m == c.later_s == 0.0 for c in found)
+
+
+def test_a_turn_beyond_any_calibration_is_not_named() -> None:
+    """Fails where a camera that was mounted otherwise is called a calibration 20 degrees off."""
     listed = []
     for f in frames():
         assert f.T_base_camera is not None
-        listed.append(replace(f, T_base_camera=f.T_base_camera @ turned))
-    assert said(listed) > NOT_QUITE
-    assert corrected(listed) == []
+        listed.append(replace(f, T_base_camera=f.T_base_camera @ turned(20.0)))
+    assert all(not any(c.turned) for c in corrected(listed))
+
+
+def test_a_cut_picture_is_told_by_its_principal_point() -> None:
+    """Fails where a picture cut by 80 px, with the camera_info of the whole, goes by."""
+    cut = replace(CAMERA, cx=CAMERA.cx + 80.0, cy=CAMERA.cy - 24.0)
+    found = corrected([replace(f, camera=cut) for f in frames()])
+    assert any(c.principal == pytest.approx((-80 / 290, 24 / 290), abs=0.01) for c in found)
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.05, 0.08)])
+@pytest.mark.parametrize("late_ms", [-90, 60])
+def test_pictures_that_are_stamped_late_are_told_with_the_delay(
+    late_ms: int, velocity: tuple[float, float]
+) -> None:
+    """Fails where stamps that are those of the transfer and not of the exposure are no finding."""
+    late_ns = late_ms * 1_000_000
+    listed = [
+        replace(f, t_ns=f.t_ns + late_ns, T_base_camera=pose_at(f.t_ns + late_ns))
+        for f in frames(velocity)
+    ]
+    assert corrected(listed)[0].later_s == pytest.approx(-late_ms * 1e-3, abs=0.011)
+
+
+def test_right_recordings_need_no_correction() -> None:
     assert corrected(frames()) == []
 
 
@@ -207,7 +256,7 @@ def test_a_recording_with_mirrored_pictures_fails_its_check(
     listed = [_mirrored(m) if m[1] in (COLOUR, DEPTH) else m for m in messages]
     trial = opened(write(tmp_path / "a.mcap", listed))
     told = [c for c in trial.checks if c.name == "camera_poses"]
-    assert told
+    assert told, trial.checks
     assert "mirrored" in told[0].mend
 
 
@@ -248,3 +297,36 @@ def test_depth_that_is_too_small_fails_its_check(tmp_path: Path, messages: list[
     (told,) = opened(write(tmp_path / "a.mcap", wrong)).checks
     assert told.name == "depth_unit"
     assert "probably 0.0025" in told.mend
+
+
+def _delayed(message: Message, by_ns: int) -> Message:
+    """Stamped and logged later."""
+    value = copy.deepcopy(message[3])
+    stamp = value.header.stamp
+    stamp.sec, stamp.nanosec = divmod(stamp.sec * 10**9 + stamp.nanosec + by_ns, 10**9)
+    return [message[0] + by_ns, *message[1:3], value]
+
+
+def test_joint_states_60_ms_late_fail_their_check_with_the_setting_that_mends_it(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a driver that stamps when it sends puts the palm 60 ms behind without a word."""
+    late_ns = 60_000_000
+    listed = [_delayed(m, late_ns) if m[1] == JOINTS else m for m in messages]
+    path = write(tmp_path / "a.mcap", listed)
+    (told,) = opened(path).checks
+    assert told.name == "clocks"
+    assert "taken 60 ms later" in told.what
+    settings = re.findall(r"clock\.\w+\.offset_ns=\d+", told.mend)
+    assert settings == ["clock.colour.offset_ns=60000000", "clock.depth.offset_ns=60000000"]
+    assert opened(path, *settings).checks == ()
+
+
+def test_depth_turned_left_for_right_fails_its_check(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a flip of one of the two pictures gives exit 0 and places of another thing."""
+    turned = [_with_depth(m, lambda mm: mm[:, ::-1]) if m[1] == DEPTH else m for m in messages]
+    (told,) = opened(write(tmp_path / "a.mcap", turned)).checks
+    assert told.name == "alignment"
+    assert "left for right" in told.what
