@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dgeval.cli.boundary import command, print_json
+from dgeval.recording.check import PART_CHECK
 
 if TYPE_CHECKING:
     from dgeval.config import Config
@@ -91,6 +92,10 @@ def _draw_hand(path: Path, config: Config, out: Path) -> None:
         typer.echo(f"note: {note}")
 
 
+def _lacks_parts(inspection: dict[str, Any]) -> bool:
+    return any(check["name"] == PART_CHECK for check in inspection.get("checks", ()))
+
+
 def _print(inspection: dict[str, Any]) -> None:
     typer.echo(f"{inspection['file']}: {inspection['kind']}, {inspection['bytes'] / 1e6:.1f} MB")
     typer.echo(f"checksums: {inspection['checksums']}")
@@ -100,6 +105,7 @@ def _print(inspection: dict[str, Any]) -> None:
             f"{len(inspection['damage'])} found, told above"
             if inspection["damage"]
             else "none found"
+            + (", and parts are missing, told below" if _lacks_parts(inspection) else "")
         )
     )
     typer.echo("topics:")
@@ -114,6 +120,8 @@ def _print(inspection: dict[str, Any]) -> None:
         typer.echo(
             f"  {topic['count']:6d}  {topic['name']}  ({topic['type']})  {rate}{image}{undecodable}"
         )
+        if topic.get("unstamped"):
+            typer.echo("          its headers bear no time: the recorder's is used")
         if topic.get("jitter_s") is not None and (
             abs(topic["recorder_delay_s"]) > 0.001 or abs(topic["drift_ppm"]) > 20
         ):

@@ -27,8 +27,9 @@ T_BODY_OPTICAL = np.array(
 
 def wrong_poses(
     pairs: Sequence[MovedPair], tree: TransformTree, base: str, camera: str
-) -> str | None:
-    """What is wrong with T_base_camera of the tree; None where it fits, or nothing can be said.
+) -> tuple[str, str] | None:
+    """What is wrong with T_base_camera of the tree, and what mends it; None where it fits, or
+    nothing can be said.
 
     It is of a body frame, x forward and z up, and not of the optical one; or a quaternion above the
     camera is written w first; or most pairs of frames contradict it.
@@ -47,7 +48,8 @@ def wrong_poses(
     if comparable.sum() >= LEAST_PAIRS and (turned[comparable] <= LEAST_WORSE).mean() > 0.5:
         return (
             f"the pose of the frame {camera!r} is of the camera's body, x forward and z up, "
-            "and not of its optical frame"
+            "and not of its optical frame",
+            "record the optical frame as the pictures' frame_id, or name it (frames.camera)",
         )
     for child in tree.ancestors(camera):
         other = tree.with_w_first(child)
@@ -61,7 +63,8 @@ def wrong_poses(
         if np.nanmedian(misfits) <= FITS and np.median(given[both]) > least:
             return (
                 f"the quaternion of the transform to {child!r} is written w first: read so, what "
-                "stands still stays where it is"
+                "stands still stays where it is",
+                "write it x, y, z, w",
             )
     if comparable.sum() < LEAST_PAIRS or _each_fits_another(pairs, given):
         return None
@@ -70,7 +73,9 @@ def wrong_poses(
     if share > CONTRADICTS:
         return (
             f"the pose of the frame {camera!r} does not fit what it sees: what stands still seems "
-            f"to move by {share:.0%}"
+            f"to move by {share:.0%}",
+            "is it the optical frame (frames.camera), is the hand-eye calibration right, and are "
+            "the camera's stamps on the robot's clock (clock.colour.offset_ns)?",
         )
     return None
 

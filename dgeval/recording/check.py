@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+PART_CHECK = "parts"  # the name of the check that parts of the recording are missing
+
 
 @dataclass(frozen=True)
 class Check:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dgeval.config import ClockConfig
 from dgeval.recording.camera_poses import far_from_palm
-from dgeval.recording.check import Check
+from dgeval.recording.check import PART_CHECK, Check
 from dgeval.recording.containers.container import lacks_its_log
 from dgeval.recording.containers.opening import missing_parts
 from dgeval.recording.contract import (
@@ -40,19 +40,14 @@ from dgeval.recording.robot import RobotStates
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
 from dgeval.recording.splits import unread_part
+from dgeval.recording.stamp_checks import stamp_checks
 
-PART_CHECK = "parts"
 MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 LEAST_POSES = 0.5  # share of the frames that must have a camera pose; ours
 BESIDE_NS = 500_000_000  # ns, by which a command may lie before or after all images; ours
-CLOCK_STEP_S = 0.25  # s, by which a clock is said to have been set; ours
-BEFORE_AFTER_S = 1.0  # s of messages on each side of a step; a burst of late ones is shorter
-LEAST_BESIDE = 5  # messages on each side
-MOST_STEPS = 100  # that are looked at; a stream with more has no clock that was set once
 LONGEST_GAP_S = 1.0  # s, as long as velocity and model are carried on (`estimation`)
 MOST_WORDS = 6  # that a sentence lists
-MOST_DROPPED = 0.1  # share of a stream whose stamps can't be used; ours
 
 
 def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | None, str]:
@@ -134,20 +129,14 @@ def failed_checks(
     clocks, note = clock_check(scan, roles, clock)
     if clocks is not None:
         failed.append(clocks)
-    for role, faults in sorted(window.stamp_faults.items()):
-        count = len(scan.times[getattr(roles, role)].log_ns)
-        if faults.dropped > MOST_DROPPED * count:
-            what = f"{faults.dropped} of {count} {role} images have stamps out of order"
-            failed.append(
-                Check("stamps", f"{what} and are not used", "see `dgeval inspect` for its clock")
-            )
-    failed += [*_clock_steps(scan, roles), *_gap(window), *_ends_early(scan, roles, window)]
+    failed += stamp_checks(scan, roles, window)
+    failed += [*_gap(window), *_ends_early(scan, roles, window)]
     failed += [Check("joints", what, mend) for what, mend in joint_faults(robot)]
     other = other_hand(robot)
     if other is not None:
         mend = "is it another hand's description? Give the right one (calibration.description)"
         failed.append(Check("description", other, mend))
-    failed += [Check("tree", what, "record one of them") for what in robot.changed]
+    failed += [Check("tree", *what) for what in robot.changed]
     if robot.conflict:
         mend = "name the camera's robot: --set frames.namespace=/NAME"
         failed.append(Check("robots", robot.conflict, mend))
@@ -189,9 +178,11 @@ def _poses(scan: Scan, robot: RobotStates, window: Window) -> list[Check]:
         what = f"the camera's pose in {robot.base_frame!r} is known in {known} of {len(times)}"
         mend = "look at the times of /tf or joint states in `dgeval inspect`; clock.*.offset_ns"
         unknown = _joints_without_states(robot)
+        called = _called_otherwise(robot, unknown)
         if unknown:
             named = ", ".join(unknown[:MOST_WORDS])
             mend = f"no states are recorded of the joints above the camera: {named}"
+            mend += f"; recorded are {', '.join(called)}: call them alike" if called else ""
             unread = [n for n, t in scan.opened.topics.items() if t.unread and "joint" in n]
             mend += f"; {', '.join(unread)} can't be read" if unread else ""
         failed.append(Check("poses", f"{what} frames", mend))
@@ -213,29 +204,10 @@ def _joints_without_states(robot: RobotStates) -> list[str]:
     return sorted(name for name in followed if name not in robot.joints.times)
 
 
-def _clock_steps(scan: Scan, roles: Roles) -> list[Check]:
-    """Whether a clock was set in mid-recording: stamps jump and the log does not."""
-    robot = [n for n, t in scan.opened.topics.items() if t.type in TF_TYPES and "static" not in n]
-    assert roles.colour is not None
-    for topic in (roles.colour, *roles.joints, *sorted(robot)):
-        header, log = scan.times[topic].arrays()
-        if len(header) != len(log):
-            continue
-        header, log = header[header > 0], log[header > 0]
-        late = (log - header) * 1e-9
-        steps = np.flatnonzero(np.abs(np.diff(late)) > CLOCK_STEP_S) + 1
-        for k in steps[:MOST_STEPS]:
-            near = np.abs(log - log[k]) * 1e-9 < BEFORE_AFTER_S
-            before, after = late[:k][near[:k]], late[k:][near[k:]]
-            if min(len(before), len(after)) < LEAST_BESIDE:
-                continue
-            step = float(np.median(before) - np.median(after))
-            if abs(step) > CLOCK_STEP_S:
-                at = (int(log[k]) - int(log[0])) * 1e-9
-                whose = "the camera's clock" if topic == roles.colour else f"the clock of {topic}"
-                what = f"{whose} is set by {step:+.2f} s, {at:.2f} s into the recording"
-                return [Check("stamps", what, "cut the recording there (start_ns, end_ns)")]
-    return []
+def _called_otherwise(robot: RobotStates, names: list[str]) -> list[str]:
+    """The recorded joints whose names end as these do, after a prefix."""
+    ends = tuple(f"{mark}{name}" for name in names for mark in "/_.:")
+    return sorted(n for n in robot.joints.times if ends and n.endswith(ends))[:MOST_WORDS]
 
 
 def _gap(window: Window) -> list[Check]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,6 +17,7 @@ from dgeval.recording.contract import (
 from dgeval.recording.messages import Event
 
 AFTER_NS = 1_000_000_000  # ns; events this long after a trial's last frame still belong to it
+SAME_EVENT_NS, MOST_AT_ONCE = 50_000_000, 8  # ns, and events before, that may be the same; ours
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,16 @@ class Events:
             if event.kind == TRIAL_START_EVENT and isinstance(listed, list):
                 out.extend(str(note) for note in listed)
         return out
+
+
+def heard_once(events: Iterable[Event]) -> list[Event]:
+    """In time order, each of those that two recorders wrote once."""
+    out: list[Event] = []
+    for event in sorted(events, key=lambda e: e.t_ns):
+        just_before = [e for e in out[-MOST_AT_ONCE:] if event.t_ns - e.t_ns <= SAME_EVENT_NS]
+        if not any((e.kind, e.fields) == (event.kind, event.fields) for e in just_before):
+            out.append(event)
+    return out
 
 
 def is_label(event: Event) -> bool:

@@ -97,10 +97,8 @@ def _against_depth(reader: FrameReader, frames: Sequence[Frame], is_integer: boo
     robot = reader.robot
     if robot.base_frame is None:
         return []
-    what = wrong_poses(pairs_moved, robot.tree, robot.base_frame, robot.camera_frame)
-    mend = "is it the optical frame (frames.camera), is the hand-eye calibration right, and are "
-    mend += "the camera's stamps on the robot's clock (clock.colour.offset_ns)?"
-    return [] if what is None else [Check("camera_poses", what, mend)]
+    wrong = wrong_poses(pairs_moved, robot.tree, robot.base_frame, robot.camera_frame)
+    return [] if wrong is None else [Check("camera_poses", *wrong)]
 
 
 def _unit_check(reader: FrameReader, is_integer: bool, what: str, factor: float) -> Check:

@@ -116,7 +116,12 @@ def _topic(scanned: Scan, name: str) -> dict[str, Any]:
             rate_hz=round((len(log) - 1) / span, 3) if span > 0 else None,
             largest_gap_s=round(float(gaps.max()), 4),
         )
-        if len(scanned.times[name].header_ns) == len(log):
+        is_stamped = header > 0 if len(header) == len(log) else np.zeros(len(log), bool)
+        if len(header) == len(log) and not is_stamped.any():
+            out["unstamped"] = True
+        if is_stamped.sum() > 1 and np.ptp(header[is_stamped]) > 0:
+            header, log = header[is_stamped], log[is_stamped]
+            span = float(log[-1] - log[0]) * 1e-9
             # recorder time less header time, s: a straight line through it gives offset and drift,
             # and what is left of it is jitter
             late = (log - header) * 1e-9

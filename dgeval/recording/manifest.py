@@ -20,7 +20,8 @@ from dgeval.recording.contract import (
     TRIAL_START_EVENT,
     label_of,
 )
-from dgeval.recording.messages import event_of
+from dgeval.recording.events import heard_once
+from dgeval.recording.messages import Event, event_of
 from dgeval.recording.pauses import between_pauses
 from dgeval.recording.splits import split_recordings
 
@@ -198,9 +199,7 @@ def _of_recording(
     """
     opened = open_container(path, parts)
     topic = events_topic or EVENTS_TOPIC
-    starts: list[int] = []
-    ends: list[int] = []
-    is_log_time = False
+    marks: list[Event] = []
     if topic in opened.topics:
         for message in opened.messages(frozenset({topic})):
             try:
@@ -208,8 +207,11 @@ def _of_recording(
             except (ValueError, UndecodableError):
                 continue  # counted as undecodable when the trial is read
             if event.kind in (TRIAL_START_EVENT, TRIAL_END_EVENT):
-                (starts if event.kind == TRIAL_START_EVENT else ends).append(event.t_ns)
-                is_log_time |= event.is_log_time
+                marks.append(event)
+    marks = heard_once(marks)
+    starts = [e.t_ns for e in marks if e.kind == TRIAL_START_EVENT]
+    ends = [e.t_ns for e in marks if e.kind == TRIAL_END_EVENT]
+    is_log_time = any(e.is_log_time for e in marks)
     if not starts:
         held = between_pauses(opened) if at_pauses and not ends else []
         if len(held) < 2:

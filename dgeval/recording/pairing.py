@@ -98,6 +98,10 @@ def window_of(pairing: Pairing, spec: TrialSpec, damage: list[Damage]) -> Window
         pairs = tuple(p for p in pairs if start <= p.t_ns <= end)
     if not pairs:
         what = f"no colour and depth images pair up between {start} and {end} ns"
+        if start > end:
+            what = f"the trial's start is marked {(start - end) * 1e-9:.2f} s after its end: the "
+            what += "clock was set back in between, as when a simulation starts again"
+            raise UnreadableError(what, place, "record each run into a file of its own")
         if not pairing.pairs and len(colour_ns) and len(depth_ns):
             after = np.clip(np.searchsorted(depth_ns, colour_ns), 0, len(depth_ns) - 1)
             near = [
@@ -111,7 +115,7 @@ def window_of(pairing: Pairing, spec: TrialSpec, damage: list[Damage]) -> Window
             )
         if damage:
             what += f" (damage: {damage[0].what})"
-        raise UnreadableError(what, place, "see `dgeval inspect` for their stamps")
+        raise UnreadableError(what, place, "`dgeval inspect` lists each topic's rate and clock")
     n_colour = int(((colour_ns >= start) & (colour_ns <= end)).sum())
     n_depth = int(((depth_ns >= start) & (depth_ns <= end)).sum())
     return Window(

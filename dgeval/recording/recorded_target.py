@@ -26,6 +26,9 @@ LEAST_PX = 10.0  # px; a smaller box holds nothing that can be followed; ours
 MOST_MARKS = 200  # messages with a mark that are looked at; ours
 MOST_LABELS = 20  # values of a mask; more is no mask; ours
 MOST_OF_PICTURE = 0.5  # share that a target covers at most in a mask; ours
+# of a box's numbers at most where they are shares; times the picture's size, and share of the
+# boxes that may reach beyond it; ours
+IN_SHARES, BEYOND, MOST_BEYOND = 1.01, 1.05, 0.1
 ABOUT_M = 0.04  # m around an object's pose; no object is asked for its size; ours
 
 
@@ -52,6 +55,8 @@ def marks_of(
     stamps = np.array([p.t_ns for p in pairs], dtype=np.int64)
     out: dict[int, Mark] = {}
     for topic in topics:
+        if of_another_size(scan, topic, camera):
+            continue
         seen: set[int] = set()
         for mark in _marks_of_topic(scan, topic, camera, robot):
             at = int(stamps[np.argmin(np.abs(stamps - mark.t_ns))])
@@ -67,6 +72,25 @@ def marks_of(
             if len(seen) >= MOST_MARKS:
                 break
     return [out[t] for t in sorted(out)]
+
+
+def of_another_size(scan: Scan, topic: str, camera: Camera) -> str:
+    """What is wrong with a topic of boxes in a picture of another size; "" where nothing is."""
+    listed = [d.box for d in scan.detections.get(topic, ()) if d.box is not None]
+    if not listed:
+        return ""
+    boxes = np.array(listed)
+    k = camera.intrinsics
+    if boxes.max() <= IN_SHARES:
+        return f"the boxes of {topic} are in shares of the picture, not in px, and are not used"
+    reach = (boxes[:, 2] > BEYOND * k.width) | (boxes[:, 3] > BEYOND * k.height)
+    if reach.mean() <= MOST_BEYOND:
+        return ""
+    right, down = boxes[:, 2].max(), boxes[:, 3].max()
+    return (
+        f"the boxes of {topic} reach to {right:.0f}, {down:.0f} px in pictures of "
+        f"{k.width}x{k.height}: of another size, and not used"
+    )
 
 
 def _marks_of_topic(scan: Scan, topic: str, camera: Camera, robot: RobotStates) -> list[Mark]:

@@ -34,6 +34,7 @@ from dgeval.robots.recognition import known_hand
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
 ODOMETRY = "odom"  # where the body of a robot is the top of its tree
 SAME_POSE = 0.005  # m and parts of a quaternion; transforms that differ by less are one; ours
+ONE_OF_THEM = "the last counts; record one of them"
 
 
 @dataclass
@@ -92,8 +93,8 @@ class RobotStates:
     hand_links: links of the hand that have a shape. joints: of the whole robot, samples: as
     recorded. notes: what was assumed. conflict: robots that use the same names and are not told
     apart, "" without. hands: palms of several hands of which nothing tells the one that grasps.
-    changed: static transforms and descriptions that are given twice, differently. hand_given: what
-    a user says of the hand.
+    changed: static transforms and descriptions that are given twice, differently, each with what
+    mends it. hand_given: what a user says of the hand.
     """
 
     tree: TransformTree
@@ -106,7 +107,7 @@ class RobotStates:
     notes: tuple[str, ...]
     conflict: str = ""
     hands: tuple[str, ...] = ()
-    changed: tuple[str, ...] = ()
+    changed: tuple[tuple[str, str], ...] = ()
     samples: tuple[JointSample, ...] = ()
     hand_given: HandConfig = field(default_factory=HandConfig)
 
@@ -205,7 +206,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         f"the transforms in {namespace or '/'} are another robot's and are not used"
         for namespace in sorted(scan.tf.keys() - set(counts) - set(mixed))
     )
-    changed = [what for ns in counts for what in _given_twice(scan.tf[ns])]
+    changed = [(what, ONE_OF_THEM) for ns in counts for what in _given_twice(scan.tf[ns])]
     used, joints_mixed = joint_topics(scan, roles, config.frames.namespace)
     samples = merged_joints(scan, used)
     joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)
@@ -301,7 +302,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         tuple(notes),
         conflict,
         hands,
-        (*changed, *(f"{t} has two descriptions" for t in sorted(scan.description_changes))),
+        (*changed, *_two_descriptions(scan)),
         tuple(samples),
         config.hand,
     )
@@ -343,6 +344,11 @@ def _contradict(a: Transforms, b: Transforms) -> bool:
         or differ(series(a, child), series(b, child), SAME_POSE)
         for child in shared
     )
+
+
+def _two_descriptions(scan: Scan) -> list[tuple[str, str]]:
+    mend = "the last counts; if that is wrong: --set calibration.description=FILE.urdf"
+    return [(f"{t} has two descriptions", mend) for t in sorted(scan.description_changes)]
 
 
 def _given_twice(heard: Transforms) -> list[str]:

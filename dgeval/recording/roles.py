@@ -9,8 +9,15 @@ import numpy as np
 
 from dgeval.config import RolesConfig
 from dgeval.errors import Place, UnreadableError, UsageError
-from dgeval.recording.cameras import choose_camera, intrinsics_of, is_aligned, other_camera
+from dgeval.recording.cameras import (
+    choose_camera,
+    depth_topics,
+    intrinsics_of,
+    is_aligned,
+    other_camera,
+)
 from dgeval.recording.contract import DGEVAL_PREFIX, MASK_TOPIC, TRUTH_PREFIX
+from dgeval.recording.images import DEPTH_ENCODINGS
 from dgeval.recording.messages import JointSample
 from dgeval.recording.namespaces import Series, differ, namespace_of, of_camera
 from dgeval.recording.scan import ImageHead, Scan
@@ -249,6 +256,8 @@ def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
     told = f"; not understood: {'; '.join(unread)}" if unread else ""
     usable = [n for n, h in scan.images.items() if h.encoding != "?"]
     hint = "name it with --set roles.colour=… or roles.depth=…" if len(usable) > 1 else None
+    if missing == "depth" and not depth_topics(scan, scan.images):
+        hint = f"none holds depth ({', '.join(sorted(DEPTH_ENCODINGS))}): record it"
     raise UnreadableError(f"no {missing} images found{lost} among: {listed}{told}", place, hint)
 
 

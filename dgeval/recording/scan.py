@@ -27,6 +27,7 @@ from dgeval.recording.contract import (
     SCORE_TOPIC,
 )
 from dgeval.recording.detections import DETECTION_TYPES, Detection, detections_of
+from dgeval.recording.events import heard_once
 from dgeval.recording.grippers import GOALS, goals_of, is_gripper_topic, number_of
 from dgeval.recording.images import decode_image
 from dgeval.recording.librealsense import (
@@ -262,7 +263,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
     _use_frame_times(out, frame_times)
     _place_streams(out, streams)
     _onto_the_stamps_clock(out)
-    out.events.sort(key=lambda e: e.t_ns)
+    out.events = heard_once(out.events)
     for name in sorted(out.undecodable):
         what = (
             f"{out.undecodable[name]} messages can't be used, "

@@ -11,6 +11,7 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.perception.target import candidates
 from dgeval.recording.check import Check
+from dgeval.recording.recorded_target import of_another_size
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step, replay
 from dgeval.replay.notes import FrameCounts
@@ -55,7 +56,13 @@ def target_note(trial: Trial, target: FoundTarget | None) -> list[str]:
         marked = f", of what {target.topic} marks" if target.topic else ""
         others = f"; {target.n_others} more can be followed" if target.n_others else ""
         how = f"what comes within {target.apart_m * 1000:.0f} mm of the grasp{marked}{others}"
-    return [f"target: no box is given; taken is {how} ({picture}); another: --bbox x0,y0,x1,y1"]
+    other = [
+        f"target: {what}"
+        for topic in trial.roles.target
+        if (what := of_another_size(trial.scan, topic, trial.reader.camera))
+    ]
+    note = f"target: no box is given; taken is {how} ({picture}); another: --bbox x0,y0,x1,y1"
+    return [*other, note]
 
 
 def write_target(path: Path, step: Step) -> None:

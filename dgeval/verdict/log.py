@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.geometry import Array
-from dgeval.recording.checks import PART_CHECK
+from dgeval.recording.check import PART_CHECK
 from dgeval.recording.containers.container import Opened
 from dgeval.recording.contract import (
     CLOSE_EVENT,

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from dgeval.config import Config
 from dgeval.replay.target_search import search_target
+from dgeval.runs.target_told import target_note
 from tests.recording.recorders import COLOUR, STORE, TYPES, Message, flat, image, of, opened, write
 
 CAMERA = "camera_color_optical_frame"
@@ -170,3 +171,20 @@ def test_detections_that_no_definition_explains_are_a_note(
     trial = opened(empty)
     assert not trial.damage
     assert any("/detections" in note for note in trial.notes)
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"), [(2.0, "of another size"), (1 / 320, "in shares of the picture")]
+)
+def test_boxes_of_another_size_of_picture_are_told(
+    tmp_path: Path, unmarked: list[Message], scale: float, said: str
+) -> None:
+    """Fails where a detector that ran on a larger picture, or gives shares of it, is dropped
+    without a word or takes another thing.
+    """
+    box = tuple(v * scale for v in BOX)
+    listed = with_marks(unmarked, "/detections", ARRAY_2D, lambda h: flat(h, box))
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    target = search_target(trial, Config())
+    assert target is None or target.topic is None
+    assert any(said in note for note in target_note(trial, target))

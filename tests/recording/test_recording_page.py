@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from dgeval.recording.checks import PART_CHECK
+from dgeval.recording.check import PART_CHECK
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.messages import event_of
 
@@ -66,7 +66,12 @@ def test_the_manifest_is_one(tmp_path: Path, demo: Path) -> None:
 def test_every_check_is_listed() -> None:
     code = "".join(
         (ROOT / "dgeval" / name).read_text(encoding="utf-8")
-        for name in ("recording/checks.py", "recording/frame_checks.py", "runs/target_told.py")
+        for name in (
+            "recording/checks.py",
+            "recording/frame_checks.py",
+            "recording/stamp_checks.py",
+            "runs/target_told.py",
+        )
     )
     made = {*re.findall(r'(?:(?:Check|_Told)\(\s*|return )"(\w+)", ', code), PART_CHECK}
     listed = set(re.findall(r"^\| `(\w+)` \|", PAGE.split("# Checks")[1], re.MULTILINE))
