@@ -25,6 +25,7 @@ from dgeval.recording.scene_motion import (
     CONTRADICTS,
     NOT_QUITE,
     Correction,
+    SceneStep,
     scene_steps,
     seeming_motion,
 )
@@ -32,8 +33,7 @@ from dgeval.recording.scene_motion import (
 SAMPLED = 12  # frames of a trial that are looked at
 UNITS_M = (1.0, 1e-2, 1e-3, 1e-4, 2.5e-4)  # m per unit of depth, of cameras in use
 MUST_TELL_BESIDE = 0.034  # of the width, by which depth beside colour fails; less is a note; ours
-# s and rad, from which on a delay and a turned camera fail the check; less is a note; ours
-MUST_TELL_S, MUST_TELL_TURN = 0.04, np.radians(2.0)
+MUST_TELL_S = 0.04  # s, from which on a delay fails the check; less is a note; ours
 NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is that one
 
 
@@ -81,7 +81,14 @@ def _of_camera(
     by_depth = _against_depth(reader, frames, is_integer)
     if any(check.name == "depth_unit" for check in by_depth):
         return by_depth, ""
-    by_pictures, note = _against_pictures(reader, frames, is_integer, clock)
+    steps = scene_steps(frames)
+    share = seeming_motion(steps)
+    if share is None:
+        return by_depth, ""
+    by_pictures, note = _against_pictures(reader, steps, share, is_integer, clock)
+    # depth alone can't tell a turntable from wrong poses, and texture can
+    if share <= NOT_QUITE:
+        return by_pictures, note
     # wrong depth contradicts the poses too, and is the better answer where it explains everything
     if by_depth and not any(check.name != "camera_poses" for check in by_pictures):
         return by_depth, ""
@@ -163,23 +170,27 @@ def _intrinsics(reader: FrameReader, fits: str, c: Correction) -> _Told:
     return _Told("intrinsics", fits, mend)
 
 
-def _must_be_told(c: Correction) -> bool:
-    """Whether what is wrong by this much makes numbers wrong, and not only less exact."""
+def _must_be_told(c: Correction, share: float) -> bool:
+    """Whether what is wrong makes numbers wrong, and not only less exact. share: as it is seen.
+
+    A turn and a middle have numbers enough to fit, by chance, what a person's hand holds: what they
+    explain fails where nothing that is right shows as much.
+    """
     if c.later_s != 0.0:
         return abs(c.later_s) >= MUST_TELL_S - 1e-9
-    return not any(c.turned) or float(np.linalg.norm(c.turned)) >= MUST_TELL_TURN
+    return share > CONTRADICTS or not (any(c.turned) or any(c.principal))
 
 
 def _against_pictures(
-    reader: FrameReader, frames: Sequence[Frame], is_integer: bool, clock: ClockConfig
+    reader: FrameReader,
+    steps: Sequence[SceneStep],
+    share: float,
+    is_integer: bool,
+    clock: ClockConfig,
 ) -> tuple[list[Check], str]:
     """Whether the camera's poses and depth fit what its pictures show, and a note, "" without,
-    where they hardly do.
+    where they hardly do. share: `seeming_motion` of the steps.
     """
-    steps = scene_steps(frames)
-    share = seeming_motion(steps)
-    if share is None:
-        return [], ""
     what = (
         f"by the poses of {reader.robot.camera_frame!r} what the pictures show moves along with "
         f"the camera, by {share:.1%} of its way"
@@ -193,7 +204,7 @@ def _against_pictures(
         check = Check(
             found[0].name, f"{what}, and would stay where it is with {other}", which + mend
         )
-        if any(_must_be_told(c) for c in fitting):
+        if any(_must_be_told(c, share) for c in fitting):
             return [check], ""
         return [], f"{check.what}; {check.mend}"
     if share <= NOT_QUITE:

@@ -153,22 +153,32 @@ def seeming_motion(steps: Sequence[SceneStep], corrected: Correction = AS_RECORD
     """
     if len(steps) < LEAST_STEPS:
         return None
-    seconds = np.array([s.seconds for s in steps])[:, None]
+    seconds = np.array([s.seconds for s in steps])
     middle, shift, turn = (
         np.array(listed) for listed in zip(*(s.seeming(corrected) for s in steps), strict=True)
     )
     moved = np.array([s.moved_m for s in steps])
-    spin = float(np.median(turn[:, 2] / seconds[:, 0]))
-    if abs(spin) < LEAST_SPIN:
-        spin = 0.0
-    lever = middle - np.median(middle, axis=0)
-    evenly = shift - spin * seconds * np.stack([-lever[:, 1], lever[:, 0], 0 * lever[:, 0]], axis=1)
     still = np.linalg.norm(shift, axis=1)
+    # a belt or a turntable may also stand for a while: each step's motion is tried for all
     shares = [
-        np.minimum(still, np.linalg.norm(evenly - velocity * seconds, axis=1)) / moved
-        for velocity in evenly / seconds
+        np.minimum(still, np.linalg.norm(shift - moving, axis=1)) / moved
+        for moving in _as_each(seconds, middle, shift, turn[:, 2] / seconds)
     ]
     return float(min(np.sort(s)[int(MUST_FIT * len(steps))] for s in shares))
+
+
+def _as_each(seconds: Array, middle: Array, shift: Array, spins: Array) -> Iterator[Array]:
+    """By step, the shifts (n, 3) m of all steps if all moved evenly as this one does: along, or
+    about a vertical axis. seconds, spins (n,) s, rad/s; middle, shift (n, 3) m.
+    """
+    for k, spin in enumerate(spins):
+        along = shift[k] / seconds[k] * seconds[:, None]
+        if abs(spin) >= LEAST_SPIN:
+            turned = np.exp(1j * spin * seconds) - 1.0  # of a point at 1 from the axis
+            at, moved = (v[:, 0] + 1j * v[:, 1] for v in (middle, shift))
+            axis = at[k] - moved[k] / turned[k]
+            along[:, :2] = np.stack([(f := turned * (at - axis)).real, f.imag], axis=1)
+        yield along
 
 
 def _points_of(frame: Frame) -> _Points:

@@ -697,7 +697,7 @@ MUTANTS = [
         f"{TEST_CHECKS}::test_the_mend_of_a_clock_mends_it",
     ),
     Mutant(
-        CHECKS,
+        "dgeval/recording/stamp_checks.py",
         "faults.dropped > MOST_DROPPED * count",
         "faults.dropped > 9 * MOST_DROPPED * count",
         f"{TEST_CHECKS}::test_stamps_that_cost_a_tenth_of_a_stream_fail",
@@ -957,6 +957,24 @@ MUTANTS = [
         "clock.colour.offset_ns={ns + clock.colour.offset_ns}",
         "clock.colour.offset_ns={-ns + clock.colour.offset_ns}",
         "tests/recording/test_scene_motion.py",
+    ),
+    Mutant(
+        "dgeval/recording/stamp_checks.py",
+        "(stamps % 1_000_000_000 < FRACTION_NS).all()",
+        "(stamps % 1_000_000_000 < FRACTION_NS).sum() > len(stamps)",
+        "tests/recording/test_stamps.py",
+    ),
+    Mutant(
+        "dgeval/recording/events.py",
+        "if event.t_ns - e.t_ns <= SAME_EVENT_NS]",
+        "if event.t_ns - e.t_ns <= -1]",
+        "tests/recording/test_stamps.py",
+    ),
+    Mutant(
+        "dgeval/recording/recorded_target.py",
+        "if boxes.max() <= IN_SHARES:",
+        "if boxes.max() <= 0:",
+        "tests/recording/test_recorded_target.py",
     ),
     Mutant(
         "dgeval/recording/depth_edges.py",
