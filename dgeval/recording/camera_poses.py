@@ -12,8 +12,9 @@ from dgeval.recording.camera_motion import LEAST_WORSE, MovedPair, misfit_of
 from dgeval.recording.transforms import TransformTree
 
 # pairs, and median share of the depth by which poses don't fit; over 60 simulated approaches with
-# right ones it is at most 0.022, as a target that comes near spoils some pairs
-LEAST_PAIRS, CONTRADICTS = 5, 0.04
+# right ones it is at most 0.022, as a target that comes near spoils some pairs, and in two of 94
+# more, of a turntable and of a handover, 0.04 and 0.05
+LEAST_PAIRS, CONTRADICTS = 5, 0.055
 MOST_FROM_PALM_M = 1.5  # m, of a camera that moves with the palm; ours
 # share of the depth by which poses misfit at most that are right, and how many times more those do
 # whose quaternion is in another order; ours

@@ -22,8 +22,8 @@ LEAST_EDGE, LEAST_FRAMES = 15, 6  # px of a frame's edges, frames that have so m
 BRIGHT, MOST_BRIGHT = 90.0, 1.5  # quantile in %, of colour's gradient, that is 1, and its limit
 # px of WIDTH and score: a shift that is told, how far halves of the frames may differ in it, the
 # score that it has at least, and the share of it that no shift may have; ours. Over 31 simulated
-# trials the shift is at most 3.2 px, and no larger one of 85 more has a score above 0.38; shifted by
-# 4 % of the width it is told in 19 of the 31
+# trials the shift is at most 3.2 px, and no larger one of 85 more has a score above 0.38; shifted
+# by 4 % of the width it is told in 19 of the 31
 LEAST_SHIFT, AGREE, LEAST_SCORE, AS_GOOD = 3.5, 2, 0.5, 0.9
 TURNED_SCORE, TURNED_BETTER = 0.6, 0.15  # of depth turned over, told in all 31; ours
 TURNS = {  # of an (H, W) picture, and the sign of its edges' direction

@@ -28,6 +28,10 @@ STEP_M, STEP_SHARE = 0.04, 0.1
 TRIPLES = 200  # of points, drawn to find the motion that most points share
 AGREES = 0.015  # share of the depth, by which a point may miss the motion that it shares; ours
 LEAST_AGREE, LEAST_SHARE = 12, 0.4  # points, and share of the points, that share a motion; ours
+# of the picture's sides, how far the points that share a motion reach in the upper quartile of the
+# steps. Less is one thing, which a hand may hold: in 13 simulated handovers to a jaw, whose view
+# shows little else, it is 0.21 to 0.30, in 72 other trials at least 0.33 in all but five; ours
+LEAST_EXTENT = 0.33
 WITH_CAMERA = 0.2  # share of the camera's motion, below which points move with the camera; ours
 LEAST_STEPS = 4
 LEAST_SPIN = 0.05  # rad/s, about the vertical, of a scene that is said to turn
@@ -112,12 +116,12 @@ class _Points:
 
 def scene_steps(frames: Sequence[Frame]) -> list[SceneStep]:
     """From each frame to the next one from which the camera has moved by STEP_M, where enough of
-    the same points are seen.
+    the same points are seen. None where what moves as one is but a small part of the picture.
     """
     posed = [f for f in frames if f.T_base_camera is not None]
     seen: dict[int, _Points] = {}
     rng = generator(0, "scene_motion", 0)
-    out = []
+    out, extents = [], []
     for i, j in _far_enough(posed):
         for k in (i, j):
             if k not in seen:
@@ -128,8 +132,17 @@ def scene_steps(frames: Sequence[Frame]) -> list[SceneStep]:
         moved_m = float(np.linalg.norm(T_b[:3, 3] - T_a[:3, 3]))
         shared = _moving_as_one(*_same_points(seen[i], seen[j]), moved_m, rng)
         if shared is not None:
+            extents.append(_extent(shared[1], posed[j]))
             out.append(SceneStep(posed[i].t_ns, posed[j].t_ns, moved_m, T_a, T_b, *shared))
-    return out
+    return out if out and float(np.quantile(extents, 0.75)) >= LEAST_EXTENT else []
+
+
+def _extent(points: Array, frame: Frame) -> float:
+    """Of most of the points (n, 3) m, in shares of the picture's sides, their geometric mean."""
+    camera = frame.camera
+    sides = np.array([camera.fx / camera.width, camera.fy / camera.height])
+    low, high = np.quantile(points[:, :2] / points[:, 2:] * sides, [0.1, 0.9], axis=0)
+    return float(np.sqrt(np.prod(high - low)))
 
 
 def _far_enough(posed: Sequence[Frame]) -> Iterator[tuple[int, int]]:

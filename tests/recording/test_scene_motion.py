@@ -235,6 +235,19 @@ def test_a_hand_that_fills_half_of_the_picture_is_left_out() -> None:
     assert said(listed) < NOT_QUITE / 2
 
 
+def test_one_thing_that_a_hand_holds_is_no_scene() -> None:
+    """Fails where a person's hand, which moves as it likes before a wall without texture, makes of
+    right poses wrong ones.
+    """
+    listed = []
+    for k in range(STEPS):
+        held = frame_of(k, np.array([0.05 * (k % 3), 0.03 * (k % 2)]))
+        colour = np.full_like(held.colour, 90)
+        colour[90:150, 120:200] = held.colour[90:150, 120:200]
+        listed.append(replace(held, colour=colour))
+    assert scene_steps(listed) == []
+
+
 def test_a_camera_that_stands_still_says_nothing() -> None:
     one = frames()[0]
     still = [replace(one, t_ns=k * PERIOD_NS) for k in range(STEPS)]

@@ -935,6 +935,18 @@ MUTANTS = [
         "tests/recording/test_scene_motion.py",
     ),
     Mutant(
+        "dgeval/recording/scene_motion.py",
+        "axis = at[k] - moved[k] / turned[k]",
+        "axis = at[k] + moved[k] / turned[k]",
+        "tests/recording/test_scene_motion.py",
+    ),
+    Mutant(
+        "dgeval/recording/scene_motion.py",
+        "float(np.quantile(extents, 0.75)) >= LEAST_EXTENT",
+        "float(np.quantile(extents, 0.75)) >= 0",
+        "tests/recording/test_scene_motion.py",
+    ),
+    Mutant(
         "dgeval/recording/scene_corrections.py",
         "pose_at(t + round(later_s * 1e9))",
         "pose_at(t - round(later_s * 1e9))",
@@ -1032,7 +1044,7 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/scene_motion.py",
-        "np.minimum(still, np.linalg.norm(evenly - velocity * seconds, axis=1)) / moved",
+        "np.minimum(still, np.linalg.norm(shift - moving, axis=1)) / moved",
         "still / moved",
         "tests/recording/test_scene_motion.py",
     ),
