@@ -21,6 +21,7 @@ MOST_DROPPED = 0.1  # share of a stream whose stamps can't be used; ours
 TWICE = 0.45  # share of a stream's stamps that another one has, where all come twice; ours
 # ns, under which all fractions of a second are those of lost digits, stamps and s that must show it
 FRACTION_NS, LEAST_STAMPS, LEAST_S = 1_000_000, 10, 2.0
+LEAST_A_SECOND = 1.5  # messages; a camera that takes one a second may stamp whole seconds; ours
 
 
 def stamp_checks(scan: Scan, roles: Roles, window: Window) -> list[Check]:
@@ -31,7 +32,7 @@ def stamp_checks(scan: Scan, roles: Roles, window: Window) -> list[Check]:
     assert roles.depth is not None
     robot = [n for n, t in scan.opened.topics.items() if t.type in TF_TYPES and "static" not in n]
     topics = list(dict.fromkeys([roles.colour, roles.depth, *roles.joints, *sorted(robot)]))
-    cut = [topic for topic in topics if _lost_fractions(scan.times[topic].arrays()[0])]
+    cut = [topic for topic in topics if _lost_fractions(*scan.times[topic].arrays())]
     failed = []
     if cut:
         what = f"the stamps of {', '.join(cut)} have no fractions of a second above 1 ms"
@@ -46,8 +47,11 @@ def stamp_checks(scan: Scan, roles: Roles, window: Window) -> list[Check]:
     return [*failed, *_clock_steps(scan, steady)]
 
 
-def _lost_fractions(header_ns: Ints) -> bool:
+def _lost_fractions(header_ns: Ints, log_ns: Ints) -> bool:
+    """Whether several messages a second, by the recorder, bear stamps of whole seconds."""
     stamps = header_ns[header_ns > 0]
+    if len(log_ns) < LEAST_A_SECOND * np.ptp(log_ns) * 1e-9:
+        return False
     if len(stamps) < LEAST_STAMPS or np.ptp(stamps) < LEAST_S * 1e9:
         return False
     return bool((stamps % 1_000_000_000 < FRACTION_NS).all())

@@ -85,3 +85,18 @@ def test_topics_without_stamps_have_no_clock(tmp_path: Path, messages: list[Mess
         assert topics[name]["unstamped"]
         assert "drift_ppm" not in topics[name]
     assert "unstamped" not in topics[EVENTS]
+
+
+def test_one_picture_a_second_may_be_stamped_in_whole_seconds(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a slow camera's right stamps are called cut."""
+    first = min(m[0] for m in messages)
+
+    def slowly(t: int) -> int:
+        return first // S * S + round((t - first) / 66_666_667) * S
+
+    images = [m for m in messages if m[1] in (COLOUR, DEPTH, INFO)]
+    slow = [[slowly(m[0]), *restamped(m, slowly)[1:]] for m in images]
+    trial = opened(write(tmp_path / "a.mcap", slow))
+    assert not [c for c in trial.checks if c.name == "stamps"]
