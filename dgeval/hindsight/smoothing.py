@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from filterpy.common import Q_discrete_white_noise
-from filterpy.kalman import KalmanFilter
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -19,6 +18,8 @@ ACCELERATIONS = (0.002, 0.05, 0.5)
 # m, standard deviation of one sighting. Registration is precise but drifts by 1-3 mm as views
 # change; a smaller value would take that drift for motion.
 SIGMA: dict[By, float] = {"registration": 0.002, "depth": 0.004, "colour": 0.004}
+
+SD_VELOCITY = 0.5  # m/s, of the velocity before the first sighting
 
 
 @dataclass(frozen=True)
@@ -88,51 +89,55 @@ def smooth(sightings: list[Sighting], centroid: Array) -> Path:
     spread = (mean.inv() * rotations).magnitude()
     return Path(
         t_ns,
-        states[:, :3],
-        states[:, 3:],
-        np.sqrt(np.array([np.linalg.eigvalsh(P[:3, :3])[-1] for P in covariances])),
-        float(np.sqrt(np.linalg.eigvalsh(covariances[-1][3:, 3:])[-1])),
+        states[:, 0],
+        states[:, 1],
+        np.sqrt(covariances[:, 0, 0]),
+        float(np.sqrt(covariances[-1, 1, 1])),
         mean.as_matrix(),
         float(np.median(spread)),
         centroid,
     )
 
 
+@njit(cache=True)
 def _rts(
     t: Array, positions: Array, sigma: Array, acceleration: float
 ) -> tuple[float, Array, Array]:
-    """Log likelihood, smoothed states (n, 6) and covariances (n, 6, 6) at constant velocity.
+    """Log likelihood, smoothed states (n, 2, 3) and covariances (n, 2, 2) at constant velocity.
 
-    t: (n,) s. positions: (n, 3) m. sigma: (n,) m. acceleration: process noise, m/s^2.
+    t: (n,) s. positions: (n, 3) m. sigma: (n,) m. acceleration: process noise, m/s^2. A state is
+    position and velocity. Noise is equal along all axes, so that one covariance serves all three;
+    the update is Joseph's.
     """
-    f = KalmanFilter(dim_x=6, dim_z=3)
-    f.x = np.concatenate([positions[0], np.zeros(3)]).reshape(6, 1)
-    f.P = np.diag([sigma[0] ** 2] * 3 + [0.25] * 3)
-    f.H = np.hstack([np.eye(3), np.zeros((3, 3))])
-    states, covariances = [f.x[:, 0].copy()], [f.P.copy()]
-    transitions, noises = [], []
+    n = len(t)
+    x, P = np.zeros((n, 2, 3)), np.zeros((n, 2, 2))
+    ahead, F, Q = np.zeros((n, 2, 2)), np.eye(2), np.zeros((2, 2))
+    x[0, 0] = positions[0]
+    P[0, 0, 0], P[0, 1, 1] = sigma[0] ** 2, SD_VELOCITY**2
     likelihood = 0.0
-    for k in range(1, len(t)):
+    for k in range(1, n):
         dt = t[k] - t[k - 1]
-        F = np.eye(6)
-        F[:3, 3:] = np.eye(3) * dt
-        Q = Q_discrete_white_noise(
-            2, dt, acceleration**2, block_size=3, order_by_dim=False
-        ) + 1e-14 * np.eye(6)
-        f.predict(F=F, Q=Q)
-        f.update(positions[k].reshape(3, 1), R=np.eye(3) * sigma[k] ** 2)
-        likelihood += float(f.log_likelihood)
-        states.append(f.x[:, 0].copy())
-        covariances.append(f.P.copy())
-        transitions.append(F)
-        noises.append(Q)
-    if len(t) > 1:
-        # filterpy's Fs[k + 1] leads from k to k + 1
-        xs, Ps, _, _ = f.rts_smoother(
-            np.array(states)[:, :, None],
-            np.array(covariances),
-            [transitions[0], *transitions],
-            [noises[0], *noises],
-        )
-        return likelihood, np.asarray(xs[:, :, 0]), np.asarray(Ps)
-    return likelihood, np.array(states), np.array(covariances)
+        F[0, 1] = dt
+        Q[0, 0] = dt**4 / 4 * acceleration**2 + 1e-14
+        Q[0, 1] = Q[1, 0] = dt**3 / 2 * acceleration**2
+        Q[1, 1] = dt**2 * acceleration**2 + 1e-14
+        ahead[k] = F @ P[k - 1] @ F.T + Q
+        predicted = F @ x[k - 1]
+        off = positions[k] - predicted[0]
+        noise = sigma[k] ** 2
+        S = ahead[k, 0, 0] + noise
+        gain = ahead[k, :, 0] / S
+        x[k] = predicted
+        x[k, 0] += gain[0] * off
+        x[k, 1] += gain[1] * off
+        kept = np.eye(2)
+        kept[0, 0] -= gain[0]
+        kept[1, 0] -= gain[1]
+        P[k] = kept @ ahead[k] @ kept.T + np.outer(gain, gain) * noise
+        likelihood -= 0.5 * (float((off**2).sum()) / S + 3 * np.log(2 * np.pi * S))
+    for k in range(n - 2, -1, -1):
+        F[0, 1] = t[k + 1] - t[k]
+        back = P[k] @ F.T @ np.linalg.inv(ahead[k + 1])
+        x[k] += back @ (x[k + 1] - F @ x[k])
+        P[k] += back @ (P[k + 1] - ahead[k + 1]) @ back.T
+    return likelihood, x, P

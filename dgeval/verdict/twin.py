@@ -205,14 +205,17 @@ class Twin(HandOnHandle):
         self._put_hand(T, velocity, spin)
         moving = np.concatenate([velocity, T[:3, :3].T @ spin])
         pose = d.qpos[a : a + 7].copy()
+        turn, turning = pose[3:], bool(spin.any())
+        hand, speed = d.qpos[a : a + 7], d.qvel[b : b + 6]
+        place, heading = d.mocap_pos[self._handle], d.mocap_quat[self._handle]
+        step = velocity * TIMESTEP
         for _ in range(SUBSTEPS):
             # neither the object nor the fingers may push the recorded hand
-            d.qpos[a : a + 7], d.qvel[b : b + 6] = pose, moving
-            d.mocap_pos[self._handle], d.mocap_quat[self._handle] = pose[:3], pose[3:]
+            hand[:], speed[:], place[:], heading[:] = pose, moving, pose[:3], turn
             mujoco.mj_step(self.model, d)
-            pose[:3] += velocity * TIMESTEP
-            if spin.any():
-                mujoco.mju_quatIntegrate(pose[3:], moving[3:], TIMESTEP)
+            pose[:3] += step
+            if turning:
+                mujoco.mju_quatIntegrate(turn, moving[3:], TIMESTEP)
         self.check_stable()
         self.fly_to(pose)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import Literal
 
 import cv2
@@ -75,9 +76,13 @@ def face(name: str, look: Look, side: int) -> NDArray[np.uint8]:
     )
 
 
+@lru_cache(maxsize=8)
+def _faces(name: str, look: Look) -> bytes:
+    return np.concatenate([face(name, look, side) for side in range(6)]).tobytes()
+
+
 def add_material(spec: mujoco.MjSpec, name: str, look: Look) -> str:
     """A material whose cube texture wraps any shape without coordinates of its own."""
-    faces = np.concatenate([face(name, look, side) for side in range(6)])
     texture = spec.add_texture(
         name=f"look_{name}",
         type=mujoco.mjtTexture.mjTEXTURE_CUBE,
@@ -85,22 +90,28 @@ def add_material(spec: mujoco.MjSpec, name: str, look: Look) -> str:
         height=6 * SIZE,
         nchannel=3,
     )
-    texture.data = faces.tobytes()
+    texture.data = _faces(name, look)
     material = spec.add_material(name=f"look_{name}", specular=0.1, shininess=0.1)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name
     return str(material.name)
 
 
-def add_ground(spec: mujoco.MjSpec, name: str, colour: tuple[int, int, int]) -> str:
-    """A speckled material for belt and floor."""
+@cache
+def _ground(name: str, colour: tuple[int, int, int]) -> bytes:
+    """The speckled picture, which every draw of a twin needs again."""
     rng = generator(0, f"texture/{name}", 0)
     # faint: the belt's texture does not move with the belt
     grain = cv2.GaussianBlur(rng.normal(0, 20, (512, 512)), (0, 0), 1.5)
-    image = np.clip(np.array(colour, dtype=float) + grain[:, :, None], 0, 255).astype(np.uint8)
+    image = np.clip(np.array(colour, dtype=float) + grain[:, :, None], 0, 255)
+    return bytes(image.astype(np.uint8).tobytes())
+
+
+def add_ground(spec: mujoco.MjSpec, name: str, colour: tuple[int, int, int]) -> str:
+    """A speckled material for belt and floor."""
     texture = spec.add_texture(
         name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=512, height=512, nchannel=3
     )
-    texture.data = image.tobytes()
+    texture.data = _ground(name, colour)
     material = spec.add_material(name=name, specular=0.0, texrepeat=[3, 3])
     material.texuniform = True
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name

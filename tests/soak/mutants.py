@@ -1102,6 +1102,12 @@ MUTANTS = [
         "np.roll(pose[3:], 1)",
         "tests/recording/test_second_strangers.py",
     ),
+    Mutant(
+        "dgeval/hindsight/smoothing.py",
+        "back @ (P[k + 1] - ahead[k + 1]) @ back.T",
+        "back @ P[k + 1] @ back.T",
+        "tests/hindsight/test_smoothing.py::test_smoother_is_filterpys",
+    ),
 ]
 
 
