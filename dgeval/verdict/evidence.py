@@ -18,7 +18,8 @@ from dgeval.robots.hand import Hand
 from dgeval.verdict.beliefs import Beliefs, beliefs_of
 from dgeval.verdict.log import Recorded, TrialLog
 from dgeval.verdict.recorded_closing import LONGEST_S, moved_as_recorded
-from dgeval.worlds.closing import CONTROL_S
+from dgeval.verdict.recorded_lift import LOOK_S, recorded_lift
+from dgeval.worlds.closing import CONTROL_S, Finish
 
 PERIOD_NS = round(CONTROL_S * 1e9)
 APPROACH_S = 12.0  # before the close, as much of the approach as is looked at
@@ -40,7 +41,8 @@ class HandMotion:
     closed then: the robot's belief where it is recorded, else the object's velocity. going (6,)
     m/s, rad/s: twist of the hand's base with which it would have gone on instead of closing: as
     commanded last, else as measured. closing (m, k): the drives' positions at the ticks from the
-    close to the lift, as far as recorded.
+    close to the lift, as far as recorded. finish: how the hand followed and lifted after the close;
+    None where the log doesn't hold the whole of a lift.
     """
 
     t_ns: NDArray[np.int64]
@@ -49,6 +51,7 @@ class HandMotion:
     velocity: Array
     going: Array
     closing: Array
+    finish: Finish | None = None
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,7 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
         np.array(velocities),
         _going(log.recorded, gripper, np.array(poses), T_support_base, end_ns),
         way,
+        None if close_ns is None else _finish(log, base, root, T_support_base),
     )
     beliefs = beliefs_of(log, hindsight)
     return Scene(
@@ -179,6 +183,18 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
         beliefs if isinstance(beliefs, Unknown) else beliefs.moved(T_support_base),
         held,
     )
+
+
+def _finish(log: TrialLog, base: str, root: str, T_support_base: Array) -> Finish | None:
+    """The hand's motion after the close up to the end of its lift."""
+    poses = []
+    for k in range(round(LOOK_S / CONTROL_S) + 1):
+        t_ns = log.end_ns + k * PERIOD_NS
+        T = log.robot.tree.lookup(base, root, t_ns) if t_ns <= log.last_ns else None
+        if T is None:
+            break
+        poses.append(T_support_base @ T)
+    return recorded_lift(np.array(poses)) if poses else None
 
 
 def _rises(hindsight: Hindsight, T_support_base: Array, end_ns: int) -> bool:

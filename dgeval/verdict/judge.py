@@ -17,6 +17,7 @@ from dgeval.verdict.draws import decide_scene
 from dgeval.verdict.evidence import Scene, scene_of
 from dgeval.verdict.log import TrialLog
 from dgeval.verdict.outcome import outcome_of
+from dgeval.verdict.recorded_lift import LEAST_RISE_M
 from dgeval.verdict.sentence import Times, sentence
 
 # a described hand's `closing_source` -> how it closes, for a person
@@ -151,6 +152,11 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
         notes.append(
             f"verdict: the hand is {hand.told}; it closes {closing}, with {least:.0f} to "
             f"{most:.0f} N at a fingertip"
+        )
+    if scene.close is not None and scene.hand.finish is None:
+        notes.append(
+            "verdict: the lift is dgeval's own, straight up: after the close the log shows no "
+            f"whole rise of the hand by {LEAST_RISE_M:.2f} m or more"
         )
     if scene.held:
         notes.append(

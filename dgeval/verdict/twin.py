@@ -1,8 +1,9 @@
 """The twin: the object on its hindsight path with the recorded hand, closed at other times.
 
 The recorded hand is a fact: it moves exactly as recorded and can't be pushed. The object and the
-fingers obey physics. A close at another time follows the object at the velocity believed then and
-lifts straight up, as the recorded system does.
+fingers obey physics. After a close at another time the hand goes on as it did after the recorded
+one; where the log doesn't hold its lift, it follows the object at the velocity believed then and
+lifts straight up.
 """
 
 from __future__ import annotations
@@ -222,8 +223,12 @@ class Twin(HandOnHandle):
     # what is asked
 
     def close(self, tick: int) -> CloseAndLift:
-        """A close from the present state, with fingers and followed velocity as at a tick."""
-        return CloseAndLift(self, self.scene.hand.fingers[tick], self.scene.hand.velocity[tick])
+        """A close from the present state, with the fingers of a tick.
+
+        The hand goes on as recorded after the real close, else at the velocity believed then.
+        """
+        hand = self.scene.hand
+        return CloseAndLift(self, hand.fingers[tick], hand.velocity[tick], finish=hand.finish)
 
     def _close_at(self, state: Array, tick: int) -> bool:
         self.restore(state)

@@ -5,6 +5,8 @@ The simulator, the grasp search and the twin use the same rule.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from dgeval.geometry import Array
@@ -23,10 +25,32 @@ MIN_LIFT = 0.10  # m over its support: a lifted object is at least as high
 MAX_FROM_HAND = 0.15  # m, at most, from the grasp centre to the centre of a held object
 SHAKE_S = 0.3  # s of the hold in which a shaken grasp is shaken, one and a half periods
 # From this share of the lift's time on, a rise below this, m, means that the hand left the object
-# behind: the hand has risen by 0.08 m then.
-GIVEN_UP_SHARE, LEFT_BEHIND_M = 0.45, 0.01
+# behind: the hand has risen by 0.08 m then, after a lift as recorded by GIVEN_UP_RISE of the whole.
+GIVEN_UP_SHARE, LEFT_BEHIND_M, GIVEN_UP_RISE = 0.45, 0.01, 0.4
 AFTER_CLOSE_S = 0.6  # s after the real close, until which other close times are tried
 TRUTH_STEP = 3  # control periods between the close times tried, 30 ms
+
+
+@dataclass(frozen=True)
+class Finish:
+    """How a hand went on after its close command, as a log has it.
+
+    twists (n, 6): of its base by control period, m/s and rad/s, base axes; after them it rests.
+    rises (n,): of the palm at the end of each period, m; the last is the lift's.
+    """
+
+    twists: Array
+    rises: Array
+
+    @property
+    def needed_m(self) -> float:
+        """How far an object must have risen to be held: by half of the lift, at most MIN_LIFT."""
+        return min(MIN_LIFT, 0.5 * float(self.rises[-1]))
+
+    @property
+    def given_up(self) -> int:
+        """Control periods after which an object that has not risen was left behind."""
+        return int(np.argmax(self.rises > GIVEN_UP_RISE * self.rises[-1]))
 
 
 def finishing_twist(

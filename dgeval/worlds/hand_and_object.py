@@ -24,6 +24,7 @@ from dgeval.worlds.closing import (
     MAX_FROM_HAND,
     MIN_LIFT,
     SHAKE_S,
+    Finish,
     finishing_twist,
     swing,
 )
@@ -229,19 +230,27 @@ class CloseAndLift:
 
     drives (k,): drive positions before closing, rad or m. velocity (3,) m/s: at which the hand
     follows. shake_m: travel of a shake at 5 Hz in the first 0.3 s of the hold, 0 for none.
+    finish: how the hand followed and lifted, in place of ours.
 
     The close succeeds if, in every control period of the 1.0 s after the lift, the object is at
     least 0.10 m above where it stood (in a person's hand: where it was at the close), touches the
-    hand, is within 0.15 m of the grasp centre, and is held by nobody else. A hand that has left the
-    object behind half-way up is given up early. UnstableError where the physics became unstable.
+    hand, is within 0.15 m of the grasp centre, and is held by nobody else. After a lift as recorded
+    half of the palm's rise is enough, if that is less. A hand that has left the object behind
+    half-way up is given up early. UnstableError where the physics became unstable.
 
     success: None until the outcome is certain. height m: the greatest rise so far.
     """
 
     def __init__(
-        self, world: HandAndObject, drives: Array, velocity: Array, shake_m: float = 0.0
+        self,
+        world: HandAndObject,
+        drives: Array,
+        velocity: Array,
+        shake_m: float = 0.0,
+        finish: Finish | None = None,
     ) -> None:
         self.world, self.preshape, self.velocity, self.shake_m = world, drives, velocity, shake_m
+        self.recorded = finish
         self.success: bool | None = None
         self.height = 0.0
         self._rest = self._object()[2] if world.held_by_presenter else world.rest
@@ -253,6 +262,12 @@ class CloseAndLift:
         self._lifted = round((self._lift_s + LIFT_S) / CONTROL_S)
         self._held = self._lifted + round(HOLD_S / CONTROL_S)
         self._given_up = math.floor((self._lift_s + GIVEN_UP_SHARE * LIFT_S) / CONTROL_S)
+        self._needed, self._left_behind = MIN_LIFT, LEFT_BEHIND_M
+        if finish is not None:
+            self._lifted, self._given_up = len(finish.twists), finish.given_up
+            self._held = self._lifted + round(HOLD_S / CONTROL_S)
+            self._needed = finish.needed_m
+            self._left_behind = min(LEFT_BEHIND_M, 0.2 * self._needed)
 
     @property
     def since_s(self) -> float:
@@ -262,7 +277,7 @@ class CloseAndLift:
     def step(self) -> None:
         """Run one control period."""
         since, w = self.since_s, self.world
-        twist = finishing_twist(since, self.velocity, self._lift_s)
+        twist = self._twist(since)
         held_s = since - self._lift_s - LIFT_S
         if self.shake_m and 0 <= held_s < SHAKE_S - 1e-9:
             moved = swing(held_s + CONTROL_S, self.shake_m) - swing(held_s, self.shake_m)
@@ -279,6 +294,12 @@ class CloseAndLift:
         if self.success is None:
             self.success = self._decided()
 
+    def _twist(self, since: float) -> Array:
+        if self.recorded is None:
+            return finishing_twist(since, self.velocity, self._lift_s)
+        twists = self.recorded.twists
+        return twists[self._periods].copy() if self._periods < len(twists) else np.zeros(6)
+
     def finish(self) -> bool:
         """Run until the outcome is certain, and return it."""
         while self.success is None:
@@ -286,7 +307,7 @@ class CloseAndLift:
         return self.success
 
     def _decided(self) -> bool | None:
-        if self._periods > self._given_up and self._object()[2] < self._rest + LEFT_BEHIND_M:
+        if self._periods > self._given_up and self._object()[2] < self._rest + self._left_behind:
             return False
         if self._periods < self._lifted:
             return None
@@ -300,7 +321,7 @@ class CloseAndLift:
 
     def _in_hand(self) -> bool:
         w, position = self.world, self._object()
-        if position[2] < self._rest + MIN_LIFT or not w.touch().object or w.held_by_presenter:
+        if position[2] < self._rest + self._needed or not w.touch().object or w.held_by_presenter:
             return False
         T = w.T_base_hand()
         centre = T[:3, :3] @ w.gripper.centre + T[:3, 3]

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dgeval.geometry import Array
+from dgeval.worlds.closing import Finish
 from dgeval.worlds.hand_and_object import CloseAndLift, Touch
 
 CLOSED, LIFTED, HELD = 0.5, 1.2, 2.2  # s after the close command: lift begins, ends; hold is over
@@ -179,6 +180,26 @@ def test_a_shake_lasts_for_one_and_a_half_periods_of_the_hold() -> None:
     assert places[19] == pytest.approx(0.0, abs=1e-12)
     assert places[29] == pytest.approx(0.02)
     assert np.abs(places).max() == pytest.approx(0.02)
+
+
+def test_a_lift_as_recorded_is_followed_and_sets_the_height() -> None:
+    """Catches our own lift in its place, 0.10 m asked of a lift of 0.08 m, and a hand that goes on
+    after it.
+    """
+    twists = np.zeros((100, 6))
+    twists[20:, 2] = 0.1
+    finish = Finish(twists, np.cumsum(twists[:, 2]) * 0.01)
+    assert finish.needed_m == pytest.approx(0.04)
+    assert Finish(3 * twists, 3 * finish.rises).needed_m == pytest.approx(0.10)
+    for rise, held in ((0.039, False), (0.041, True)):
+        script = Script(rise=lambda t, rise=rise: rise * float(t > 0.3))
+        said, at, _ = run(script, finish=finish)
+        assert (said, at) == (held, pytest.approx(2.0 if held else 1.0))
+        np.testing.assert_array_equal(script.twists[:100], twists)
+        assert not np.any(script.twists[100:])
+    # left behind: the hand has risen by 0.032 m, 0.32 s after it began
+    said, at, _ = run(Script(rise=lambda _: 0.0), finish=finish)
+    assert (said, at) == (False, pytest.approx(0.53, abs=0.011))
 
 
 def test_nothing_else_in_the_package_closes_and_lifts() -> None:
