@@ -293,7 +293,7 @@ def test_a_part_that_put_the_palm_off_is_blamed(tmp_path: Path) -> None:
     # the sign matters: displaced the other way the palm is farther off than before, and nothing is
     # put right
     turned = replace(believed, errors={**believed.errors, "tracking": -believed.errors["tracking"]})
-    decision = decided(replace(scene, beliefs=turned))
+    decision = decided(replace(scene, beliefs=turned), draws=1)
     assert not any(d.restored["tracking"] for d in decision.draws.asked)
     not_recorded = Unknown("beliefs not recorded")
     assert blame_of(decision, not_recorded).part == Unknown("beliefs not recorded")
@@ -321,7 +321,7 @@ def test_a_hand_that_never_closed_has_a_part_to_blame(
     )
     assert run.close is None
     scene = modelled(run, world)
-    blamed = blame_of(decided(scene), scene.beliefs)
+    blamed = blame_of(decided(scene, draws=1), scene.beliefs)
     assert blamed.part == part, (blamed, scene.beliefs)
 
 
