@@ -206,9 +206,11 @@ def seed_of(trial: Trial) -> Array | None:
 def _planner(trial: Trial, config: Config) -> VfasGrasps | None:
     if config.pipeline != "vfas":
         return None
+    from dgeval.planning.vfas.gripper import gripper_of
     from dgeval.planning.vfas.replayed import VfasGrasps  # imports torch
 
-    return VfasGrasps(config, seed_of(trial))
+    gripper = gripper_of(trial.robot.hand)
+    return VfasGrasps(config, seed_of(trial), None if isinstance(gripper, str) else gripper)
 
 
 def _control(

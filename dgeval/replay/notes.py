@@ -10,6 +10,7 @@ from dgeval.perception.trackers import tracker_named
 from dgeval.recording.contract import GRASP_TOPIC
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step, grasp_source, seed_of
+from dgeval.robots.hand import Hand
 
 FEW_FRAMES = 0.1  # share of the frames without the hand's shape, above which a note says it; ours
 
@@ -77,7 +78,7 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
     if stand_in is not None:
         notes.append(f"stand-in: {stand_in} in place of TransT-M")
     if config.pipeline == "vfas":
-        return notes + vfas_notes(config, seed_of(trial) is not None)
+        return notes + vfas_notes(config, seed_of(trial) is not None, trial.robot.hand)
     recorded = bool(trial.scan.poses.get(GRASP_TOPIC))
     source = grasp_source(trial.robot, recorded, config.grasps)
     if source == "recorded":
@@ -97,13 +98,27 @@ def ffhnet_notes(config: Config) -> list[str]:
     return [*config.beyond_the_paper(), f"grasps by FFHNet with {weights}"]
 
 
-def vfas_notes(config: Config, seeded: bool) -> list[str]:
-    """What ran in place of VFAS-Grasp's own parts."""
+def vfas_notes(config: Config, seeded: bool, hand: Hand | None) -> list[str]:
+    """What ran in place of VFAS-Grasp's own parts. hand: of the log."""
+    from dgeval.planning.vfas.gripper import ALIKE_M, apart, gripper_of, trained_gripper
+
     weights = config.vfas.evaluator
     quality = "dgeval's own weights" if weights is None else f"weights {Path(weights).name}"
-    notes = [
-        f"VFAS-Grasp's evaluator with {quality}; sliding fingers stand for its gripper's links"
-    ]
+    trained, gripper = trained_gripper(), gripper_of(hand)
+    off = 0.0 if isinstance(gripper, str) else apart(gripper, trained)
+    links = "; sliding fingers stand for its gripper's links" if off <= ALIKE_M else ""
+    notes = [f"VFAS-Grasp's evaluator with {quality}{links}"]
+    if isinstance(gripper, str):
+        notes.append(
+            f"VFAS-Grasp's evaluator is shown the gripper of its training, {trained.opening:.2f} m "
+            f"wide: {gripper}"
+        )
+    elif off > ALIKE_M:
+        notes.append(
+            f"VFAS-Grasp's evaluator is shown the log's gripper, {gripper.opening:.3f} m wide "
+            f"({gripper.told}); it was trained with one of {trained.opening:.3f} m, whose links "
+            f"lie {off * 1000:.0f} mm beside on average: how well it scores this one is not known"
+        )
     if config.vfas.motion_field:
         notes.append("stand-in: DIS in place of GMFlow")
     if config.vfas.noise_candidates == "top8":

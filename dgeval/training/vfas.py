@@ -21,7 +21,8 @@ from dgeval.geometry import Array, invert
 from dgeval.networks.point_sets import crop
 from dgeval.networks.pointnet2 import CROP_HIGH, CROP_LOW, VFAS, GraspEvaluator, save_evaluator
 from dgeval.parallel import write_all
-from dgeval.planning.vfas.selection import LEAST_POINTS, gripper_points
+from dgeval.planning.vfas.gripper import trained_gripper
+from dgeval.planning.vfas.selection import LEAST_POINTS
 from dgeval.training.jaw_data import Scene, read_scenes, write_scenes
 from dgeval.training.loop import optimise
 from dgeval.training.ship import scores_of
@@ -118,7 +119,7 @@ def train(
     torch.manual_seed(settings.seed)
     network = GraspEvaluator(VFAS)
     gripper = torch.from_numpy(
-        gripper_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
+        trained_gripper().points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
     )[None]
 
     def loss_of(step: int) -> tuple[Tensor, dict[str, float]]:
@@ -144,7 +145,7 @@ def train(
 def measure(network: GraspEvaluator, scenes: list[Scene], n: int, seed: int) -> dict[str, float]:
     """`scores_of` an evaluator over n random poses of scenes, held or failed as they come."""
     gripper = torch.from_numpy(
-        gripper_points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
+        trained_gripper().points(VFAS.gripper, generator(0, "gripper points", 0)).astype(np.float32)
     )[None]
     points: list[NDArray[np.float32]] = []
     held: list[bool] = []

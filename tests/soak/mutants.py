@@ -1108,6 +1108,30 @@ MUTANTS = [
         "back @ P[k + 1] @ back.T",
         "tests/hindsight/test_smoothing.py::test_smoother_is_filterpys",
     ),
+    Mutant(
+        "dgeval/planning/vfas/replayed.py",
+        "T_base_goal=selected.T_base_goal @ self._T_grasp_palm",
+        "T_base_goal=selected.T_base_goal @ self._T_palm_grasp",
+        "tests/planning/test_gripper.py::test_poses_go_in_and_come_out_as_the_palms",
+    ),
+    Mutant(
+        "dgeval/planning/vfas/gripper.py",
+        "np.where(u + v > 1, 1 - u, u)",
+        "np.where(u + v > 1, u, u)",
+        "tests/planning/test_gripper.py::test_frame_width_and_links_are_the_descriptions",
+    ),
+    Mutant(
+        "dgeval/verdict/recorded_lift.py",
+        "if len(ahead) > wait and ahead.max() - rises[k] < LIFTED_M:",
+        "if ahead.max() - rises[k] < LIFTED_M:",
+        "tests/verdict/test_recorded_lift.py::test_what_is_no_whole_lift_is_none",
+    ),
+    Mutant(
+        "dgeval/worlds/closing.py",
+        "return min(MIN_LIFT, 0.5 * float(self.rises[-1]))",
+        "return MIN_LIFT",
+        "tests/worlds/test_close_and_lift.py::test_a_lift_as_recorded_is_followed_and_sets_the_height",
+    ),
 ]
 
 

@@ -16,10 +16,10 @@ from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.networks.contact_graspnet import CENTRES, ContactGraspNet, load_contact_graspnet
 from dgeval.networks.pointnet2 import GraspEvaluator, load_evaluator
 from dgeval.perception.self_filter import hand_pixels
+from dgeval.planning.vfas.gripper import Gripper
 from dgeval.planning.vfas.motion_field import MotionField, dis_flow
 from dgeval.planning.vfas.selection import GraspJudge, Selected, Vfas, perturbed
 from dgeval.recording.frame import Frame
-from dgeval.robots.hand import hand_for
 
 FAR = 0.8  # m; points farther away are not part of the scene
 MOST_PIXELS = 40_000  # pixels of a frame that the cloud is thinned to, about
@@ -70,7 +70,7 @@ def seed_from_cloud(
     such place. Used in place of Contact-GraspNet if no seed is given and `vfas.contact_graspnet`
     names no weights.
     """
-    opening = hand_for("vfas").opening or 0.0
+    opening = judge.gripper.opening
     rng = generator(seed, "vfas seed", 0)
     poses = []
     for _ in range(SAMPLED):
@@ -138,10 +138,13 @@ class VfasLoop:
     """The planner with its cloud and motion field.
 
     T_base_seed (4, 4); None: config.vfas.search_ahead in front of the gripper if
-    config.vfas.search, else a seed drawn on the cloud.
+    config.vfas.search, else a seed drawn on the cloud. gripper: default: the trained one; all poses
+    are of its grasp frame.
     """
 
-    def __init__(self, config: Config, T_base_seed: Array | None) -> None:
+    def __init__(
+        self, config: Config, T_base_seed: Array | None, gripper: Gripper | None = None
+    ) -> None:
         self._config, self._given_seed = config, T_base_seed
         network, c = evaluator_of(config.vfas.evaluator), config.vfas
         if c.labels is not None or c.centre is not None:
@@ -152,7 +155,7 @@ class VfasLoop:
             )
             network, trained = GraspEvaluator(sizes).eval(), network
             network.load_state_dict(trained.state_dict())
-        self._judge = GraspJudge(network, c)
+        self._judge = GraspJudge(network, c, gripper)
         self._motion = MotionField(dis_flow())
         self._planner: Vfas | None = None
         self._last_ns = 0

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dgeval.config import Config
-from dgeval.geometry import Array, rotation_angle
+from dgeval.geometry import Array, invert, rotation_angle
 from dgeval.planning.schedule import Delayed
 from dgeval.planning.servo import ServoCommand
+from dgeval.planning.vfas.gripper import Gripper, trained_gripper
 from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
 from dgeval.planning.vfas.selection import Selected
 from dgeval.recording.frame import Frame
@@ -33,12 +34,19 @@ class VfasResult:
 class VfasGrasps:
     """The planner over the frames of a trial, with its latency.
 
-    T_base_seed (4, 4): another planner's proposal; None: `VfasLoop` makes one.
+    T_base_seed (4, 4): another planner's proposal; None: `VfasLoop` makes one. gripper: of the log;
+    default: the trained one. Poses that go in and come out are of the palm's frame, the planner's
+    own are of the gripper's grasp frame.
     """
 
-    def __init__(self, config: Config, T_base_seed: Array | None) -> None:
+    def __init__(
+        self, config: Config, T_base_seed: Array | None, gripper: Gripper | None = None
+    ) -> None:
         self._config = config
-        self._loop = VfasLoop(config, T_base_seed)
+        gripper = gripper or trained_gripper()
+        self._T_palm_grasp, self._T_grasp_palm = gripper.T_palm_grasp, invert(gripper.T_palm_grasp)
+        seed = None if T_base_seed is None else T_base_seed @ self._T_palm_grasp
+        self._loop = VfasLoop(config, seed, gripper)
         self._coming: Delayed[Selected] = Delayed(config.schedule.grasps_latency_s)
         self._next_ns = 0
 
@@ -50,9 +58,10 @@ class VfasGrasps:
         config, hand = self._config.vfas, frame.T_base_palm
         if T_base_camera is not None and frame.t_ns >= self._next_ns:
             self._next_ns = frame.t_ns + round(EARLY * config.period_s * 1e9)
-            selected = self._loop.step(frame, T_base_camera)
+            grasp = None if hand is None else hand @ self._T_palm_grasp
+            selected = self._loop.step(replace(frame, T_base_palm=grasp), T_base_camera)
             if selected is not None:
-                self._coming.step(frame.t_ns, selected)
+                self._coming.step(frame.t_ns, self._of_palm(selected))
         at = self._coming.at(frame.t_ns)
         if at is None:
             return None
@@ -65,3 +74,11 @@ class VfasGrasps:
                 proportional_twist(hand, goal, config.gain),
             )
         return VfasResult(at[1], self._loop.velocity, command)
+
+    def _of_palm(self, selected: Selected) -> Selected:
+        """The same with poses of the palm's frame."""
+        return replace(
+            selected,
+            T_base_seed=selected.T_base_seed @ self._T_grasp_palm,
+            T_base_goal=selected.T_base_goal @ self._T_grasp_palm,
+        )

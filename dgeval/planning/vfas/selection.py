@@ -20,8 +20,8 @@ from dgeval.determinism import generator
 from dgeval.geometry import Array, rotation_angle
 from dgeval.networks.point_sets import crop
 from dgeval.networks.pointnet2 import CROP_HIGH, CROP_LOW, GraspEvaluator
+from dgeval.planning.vfas.gripper import Gripper, trained_gripper
 from dgeval.planning.vfas.one_euro import PoseFilter
-from dgeval.robots.hand import hand_for
 
 REACH = 0.20  # m; points this near to the seed can lie in a candidate's crop
 MOST_POINTS = 12_000  # points of the cloud near the seed that are used
@@ -76,22 +76,19 @@ class Scores:
     spread: Array
 
 
-def gripper_points(n: int, rng: np.random.Generator) -> Array:
-    """Points (n, 3) m on the links of VFAS-Grasp's open gripper, grasp frame.
-
-    See docs/papers.md, "Grasp evaluator".
-    """
-    points = hand_for("vfas").link_points
-    assert points is not None
-    return points(n, rng)
-
-
 class GraspJudge:
-    """Equation 1: the network's quality, its spread over noisy copies, distance from the seed."""
+    """Equation 1: the network's quality, its spread over noisy copies, distance from the seed.
 
-    def __init__(self, network: GraspEvaluator, config: VfasConfig) -> None:
+    gripper: the one that the network is shown; default: the one of its training. Control points of
+    the public weights stay a Panda's.
+    """
+
+    def __init__(
+        self, network: GraspEvaluator, config: VfasConfig, gripper: Gripper | None = None
+    ) -> None:
         self._network, self._config = network, config
-        links = gripper_points(network.sizes.gripper, generator(0, "gripper points", 0))
+        self.gripper = gripper or trained_gripper()
+        links = self.gripper.points(network.sizes.gripper, generator(0, "gripper points", 0))
         self._gripper = torch.from_numpy(links.astype(np.float32))[None]
 
     def quality(self, clouds: Sequence[Array], T_base_grasp: Array) -> Array:
