@@ -16,6 +16,7 @@ FIRST_S = 0.25  # s; sightings from the first on that start the path
 OFF_PATH_M = 0.006  # m
 OFF_PATH_RAD = 0.12  # rad
 OFF_PATH_COUNT = 3
+RENEWED = 5  # sightings, after which the path is smoothed anew
 LEAST_COUNT = 5  # sightings that a path has at least
 TOUCHING_M = 0.010  # m; a hand so near to an object that it pushes may have begun to; ours
 PUSHING_M = 0.030  # m; from the hand to an object that leaves its path, for the hand to push it
@@ -43,7 +44,7 @@ def free_path(
 
     before = [s for s in sightings if s.t_ns <= end_ns] or sightings[:1]
     first = max(2, sum((s.t_ns - before[0].t_ns) * 1e-9 < FIRST_S for s in before))
-    used, off = before[:first], list[Sighting]()
+    used, off, since = before[:first], list[Sighting](), 0
     path = smooth(used, centroid)
     for s in before[first:]:
         predicted = path.at(s.t_ns)
@@ -57,8 +58,10 @@ def free_path(
             2 * path.sd_angle, 0.05
         ):
             used, off = [*used, *off, s], []
-            if len(used) % 5 == 0 or len(used) < 15:
-                path = smooth(used, centroid)
+            since += 1
+            # what a hand may be pushing does not tell where the path goes
+            if (since >= RENEWED or len(used) < 15) and hand_from(s) >= TOUCHING_M:
+                path, since = smooth(used, centroid), 0
             continue
         off.append(s)
         if len(off) == OFF_PATH_COUNT:
@@ -66,6 +69,6 @@ def free_path(
                 while len(used) > LEAST_COUNT and hand_from(used[-1]) < TOUCHING_M:
                     used = used[:-1]
                 return smooth(used, centroid), off[0].t_ns
-            used, off = [*used, *off], []
+            used, off, since = [*used, *off], [], 0
             path = smooth(used, centroid)
     return smooth(used, centroid), None

@@ -12,7 +12,15 @@ from dgeval.determinism import generator
 from dgeval.failure_rule import HANDED_OVER, Thresholds, Unknown
 from dgeval.robots.described_hand import FORCE_N, DescribedHand
 from dgeval.robots.hand import Hand
-from dgeval.verdict.decide import Decision, Draw, Draws, decide, too_uncertain, undecided
+from dgeval.verdict.decide import (
+    BLIND_SD_M,
+    Decision,
+    Draw,
+    Draws,
+    decide,
+    too_uncertain,
+    undecided,
+)
 from dgeval.verdict.evidence import Scene
 from dgeval.verdict.geometric import geometric_draw
 from dgeval.verdict.twin import Twin
@@ -71,7 +79,9 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
     ones, of `draws` where these agree, else of up to MOST.
     """
     solid = solid_from_cloud(scene.points, held=scene.held)
-    sd_m = float(np.clip(scene.sd_m, SD_LEAST_M, SD_MOST_M))
+    sd_m = float(np.clip(scene.sd_seen_m, SD_LEAST_M, SD_MOST_M))
+    unseen_s = scene.unseen_s(scene.reference)
+    sd_drift = min(scene.sd_velocity, BLIND_SD_M / unseen_s) if unseen_s else 0.0
     sd_turn = np.radians(float(np.clip(scene.sd_deg, SD_LEAST_DEG, SD_MOST_DEG)))
     probes: list[tuple[Twin, bool]] = []
     weights = np.zeros(0)
@@ -87,7 +97,11 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
             dx, dy, turn, friction, mass = 0.0, 0.0, 0.0, 1.0, 1.0
         offset = (float(dx), float(dy), float(turn))
         force = _force(scene.gripper, rng, k)
-        twin = Twin(scene, solid, offset, float(friction), float(mass), force)
+        drift = (0.0, 0.0)
+        if k and sd_drift:
+            vx, vy = generator(seed, "verdict drift", k).normal(0, wider * sd_drift, 2)
+            drift = (float(vx), float(vy))
+        twin = Twin(scene, solid, offset, float(friction), float(mass), force, drift)
         try:
             probes.append((twin, twin.approach()))
         except UnstableError:

@@ -20,6 +20,7 @@ from dgeval.verdict.outcome import outcome_of
 from dgeval.verdict.recorded_lift import LEAST_RISE_M
 from dgeval.verdict.sentence import Times, sentence
 
+LONG_UNSEEN_S = 0.5  # over which a place that was last seen then is no longer known to 2 or 3 mm
 # a described hand's `closing_source` -> how it closes, for a person
 CLOSING = {"recorded": "as it closed here", "set": "as set", "limits": "to its limits"}
 
@@ -152,6 +153,12 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
         notes.append(
             f"verdict: the hand is {hand.told}; it closes {closing}, with {least:.0f} to "
             f"{most:.0f} N at a fingertip"
+        )
+    unseen_s = scene.unseen_s(scene.reference)
+    if scene.close is not None and unseen_s > LONG_UNSEEN_S:
+        notes.append(
+            f"verdict: the object was last seen undisturbed {unseen_s:.1f} s before the close; where "
+            f"it would have been is known to {scene.sd_m * 1000:.0f} mm"
         )
     if scene.close is not None and scene.hand.finish is None:
         notes.append(
