@@ -70,7 +70,7 @@ class FramesConfig(Section):
 
 class CalibrationConfig(Section):
     description: str | None = Field(
-        None, description="URDF file; default: a /robot_description in the log"
+        None, description="URDF or MJCF file; default: a /robot_description in the log"
     )
     mesh_dirs: tuple[str, ...] = ()
     flange: str | None = Field(None, description="link that T_flange_camera refers to")

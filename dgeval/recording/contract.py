@@ -18,7 +18,7 @@ TRUTH_PREFIX: Final = "/truth/"
 """What a simulator knows for certain. Never an input of a verdict, never a label."""
 
 ROBOT_DESCRIPTION: Final = "/robot_description"
-"""Latched topic with the robot's URDF, std_msgs/String; in any namespace."""
+"""Latched topic with the robot's URDF or MJCF, std_msgs/String; in any namespace."""
 
 OWN_PREFIXES: Final = ("/dgeval/", "/truth/")
 """Topics that begin so are dgeval's own; no other robot has them."""

@@ -12,6 +12,9 @@ from dgeval.geometry import IDENTITY, Array, rotation_about
 
 Kind = Literal["box", "capsule", "cylinder", "sphere", "hull"]
 
+# By joint: the joint that it follows, which follows no other, the factor and the offset.
+Coupling = dict[str, tuple[str, float, float]]
+
 BESIDE = 0.5  # of a crank's length; a bar of its linkage hangs nearer beside it; ours
 PARALLEL = 0.99  # cosine between the axes of a crank and its bar; ours
 
@@ -114,6 +117,26 @@ class Description:
             if not more:
                 return sorted(out)
             out |= more
+
+
+def resolved(names: list[str], direct: Coupling, notes: list[str]) -> Coupling:
+    """What each joint follows, chains resolved; a joint that follows none follows itself.
+
+    direct: of those that follow another. notes get what follows itself.
+    """
+    out: Coupling = {}
+    for name in names:
+        source, multiplier, offset = name, 1.0, 0.0
+        for _ in names:
+            if source not in direct:
+                break
+            source, factor, added = direct[source]
+            multiplier, offset = multiplier * factor, offset + multiplier * added
+        if source in direct:
+            notes.append(f"joint {name} follows itself in a circle, and is taken as free")
+            source, multiplier, offset = name, 1.0, 0.0
+        out[name] = source, multiplier, offset
+    return out
 
 
 def crank_beside(joints: Mapping[str, Joint], link: str) -> Array | None:

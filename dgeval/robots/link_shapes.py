@@ -21,6 +21,7 @@ UNREADABLE = (
     AssertionError, AttributeError, ImportError, LookupError, OSError, SyntaxError, TypeError,
     ValueError, struct.error,
 )  # fmt: skip
+MOST_NAMED = 3  # shapes in a note
 MOST_M = 5.0  # m; a mesh that reaches farther is in mm or cm
 
 
@@ -49,7 +50,7 @@ def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Lin
             solid = "cylinder", (r, h), float(np.hypot(r, h))
         elif g.mesh is not None:
             try:
-                out.append(_mesh_hull(link.name, T, g.mesh, mesh_dirs))
+                out.append(mesh_hull(link.name, T, g.mesh, mesh_dirs))
             except UnusableMeshError as error:
                 unusable.append(str(error))
         if solid is not None:
@@ -61,13 +62,12 @@ def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Lin
     return out, unusable
 
 
-def _mesh_hull(link: str, T_link_shape: Array, mesh: Any, mesh_dirs: tuple[str, ...]) -> LinkShape:
+def mesh_hull(link: str, T_link_shape: Array, mesh: Any, mesh_dirs: tuple[str, ...]) -> LinkShape:
     """A mesh's convex hull, which keeps the mesh.
 
     UnusableMeshError where its file is not there, can't be read, or spans no volume.
     """
     import trimesh
-    from scipy.spatial import ConvexHull, QhullError
 
     path = _mesh_file(mesh.filename, mesh_dirs)
     if path is None:
@@ -80,21 +80,33 @@ def _mesh_hull(link: str, T_link_shape: Array, mesh: Any, mesh_dirs: tuple[str, 
         raise UnusableMeshError(f"{path.name} can't be read ({error})") from None
     if mesh.scale is not None:
         vertices = vertices * np.asarray(mesh.scale)
+    return hull_of(link, T_link_shape, vertices, faces, path.name)
+
+
+def hull_of(
+    link: str, T_link_shape: Array, vertices: Array, faces: Array | None, name: str
+) -> LinkShape:
+    """The convex hull of vertices (n, 3) m with faces (k, 3); None: those of the hull.
+
+    UnusableMeshError where they span no volume, with the mesh's name.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
     if not len(vertices):
-        raise UnusableMeshError(f"{path.name} holds no mesh")
+        raise UnusableMeshError(f"{name} holds no mesh")
     if not np.isfinite(vertices).all():
-        raise UnusableMeshError(f"{path.name} has numbers that are none")
+        raise UnusableMeshError(f"{name} has numbers that are none")
     bound = float(np.linalg.norm(vertices, axis=1).max())
     if bound > MOST_M:
-        raise UnusableMeshError(f"{path.name} reaches {bound:.3g} m: is its unit the metre?")
+        raise UnusableMeshError(f"{name} reaches {bound:.3g} m: is its unit the metre?")
     try:
         hull = ConvexHull(vertices)
     except (QhullError, ValueError):
-        raise UnusableMeshError(f"{path.name} spans no volume") from None
+        raise UnusableMeshError(f"{name} spans no volume") from None
     corners = vertices[hull.vertices]
-    return LinkShape(
-        link, "hull", T_link_shape, (), hull.equations, bound, corners, (vertices, faces)
-    )
+    triangles: Any = hull.simplices if faces is None else faces
+    mesh = (vertices, triangles)
+    return LinkShape(link, "hull", T_link_shape, (), hull.equations, bound, corners, mesh)
 
 
 def _mesh_file(filename: str, mesh_dirs: tuple[str, ...]) -> Path | None:
@@ -106,6 +118,17 @@ def _mesh_file(filename: str, mesh_dirs: tuple[str, ...]) -> Path | None:
             if (path := Path(folder).joinpath(*parts[i:])).is_file():
                 return path
     return Path(name) if Path(name).is_file() else None
+
+
+def without_solids(unusable: list[str], substituted: list[str]) -> str:
+    """The note on shapes that give no solid, and on the links for which capsules stand in."""
+    named = ", ".join(unusable[:MOST_NAMED])
+    named += f" and {len(unusable) - MOST_NAMED} more" if len(unusable) > MOST_NAMED else ""
+    stand_in = ", ".join(sorted(substituted)) or "none"
+    return (
+        f"{len(unusable)} shapes give no solid: {named}; capsules from joint origins stand in "
+        f"for: {stand_in}; give calibration.mesh_dirs"
+    )
 
 
 def capsules_of(

@@ -9,24 +9,22 @@ from typing import Any, Literal
 import numpy as np
 
 from dgeval.errors import Place, UsageError, describe
-from dgeval.robots.description import Description, Joint
-from dgeval.robots.link_shapes import capsules_of, shapes_of
-
-# By joint: the joint that it follows, which follows no other, the factor and the offset.
-Coupling = dict[str, tuple[str, float, float]]
-
-MOST_NAMED = 3  # shapes in a note
+from dgeval.robots.description import Coupling, Description, Joint, resolved
+from dgeval.robots.link_shapes import capsules_of, shapes_of, without_solids
+from dgeval.robots.mjcf_description import is_mjcf, load_mjcf
 
 
 def load_description(
     text: str, source: str, mesh_dirs: tuple[str, ...], radius: float
 ) -> Description:
-    """Parse URDF text.
+    """Parse URDF or MJCF text.
 
     Links whose meshes and primitives give no solid get capsules from joint to joint of the given
-    radius, m. source: where the text comes from, for messages. UsageError if the text is not a URDF
-    or holds numbers that are not finite.
+    radius, m. source: where the text comes from, for messages. UsageError if the text is neither or
+    holds numbers that are not finite.
     """
+    if is_mjcf(text):
+        return load_mjcf(text, source, mesh_dirs, radius)
     import yourdfpy
 
     try:
@@ -87,13 +85,7 @@ def load_description(
             )
         shapes[link.name] = link_shapes
     if unusable:
-        named = ", ".join(unusable[:MOST_NAMED])
-        named += f" and {len(unusable) - MOST_NAMED} more" if len(unusable) > MOST_NAMED else ""
-        stand_in = ", ".join(sorted(substituted)) or "none"
-        notes.append(
-            f"{len(unusable)} shapes give no solid: {named}; capsules from joint origins stand in "
-            f"for: {stand_in}; give calibration.mesh_dirs"
-        )
+        notes.append(without_solids(unusable, substituted))
     return Description(joints, shapes, notes, mass_centres, radius)
 
 
@@ -139,19 +131,7 @@ def _coupling(joints: list[Any], notes: list[str]) -> Coupling:
             notes.append(f"joint {name} follows {mimic.joint}, which is taken for {source}")
         factor = 1.0 if mimic.multiplier is None else float(mimic.multiplier)
         direct[name] = source, factor, 0.0 if mimic.offset is None else float(mimic.offset)
-    out: Coupling = {}
-    for name in names:
-        source, multiplier, offset = name, 1.0, 0.0
-        for _ in names:
-            if source not in direct:
-                break
-            source, factor, added = direct[source]
-            multiplier, offset = multiplier * factor, offset + multiplier * added
-        if source in direct:
-            notes.append(f"joint {name} follows itself in a circle, and is taken as free")
-            source, multiplier, offset = name, 1.0, 0.0
-        out[name] = source, multiplier, offset
-    return out
+    return resolved(names, direct, notes)
 
 
 def _named(source: str, follower: str, names: list[str]) -> str:

@@ -157,8 +157,8 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
     unseen_s = scene.unseen_s(scene.reference)
     if scene.close is not None and unseen_s > LONG_UNSEEN_S:
         notes.append(
-            f"verdict: the object was last seen undisturbed {unseen_s:.1f} s before the close; where "
-            f"it would have been is known to {scene.sd_m * 1000:.0f} mm"
+            f"verdict: the object was last seen undisturbed {unseen_s:.1f} s before the close; "
+            f"where it would have been is known to {scene.sd_m * 1000:.0f} mm"
         )
     if scene.close is not None and scene.hand.finish is None:
         notes.append(

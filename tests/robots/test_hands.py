@@ -90,7 +90,13 @@ def test_nothing_else_knows_a_finger() -> None:
                 "dgeval.robots."
             ):
                 allowed = ("hand", "mjcf", "urdf", "diana7", "description", "recognition")
-                allowed += ("loading", "hand_links", "described_hand", "hand_solids")
+                allowed += (
+                    "loading",
+                    "hand_links",
+                    "described_hand",
+                    "hand_solids",
+                    "hand_geometry",
+                )
                 assert node.module.split(".")[2] in allowed, (path, node.module)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from dgeval.geometry import increment
@@ -34,6 +35,16 @@ def changed(hand: KnownHand, change: Callable[[Joint], Joint]) -> Description:
 @EACH
 def test_a_known_hand_is_known_by_its_own_description(hand: KnownHand) -> None:
     assert known_hand(described(hand)) == (hand, "")
+
+
+@EACH
+def test_a_known_hand_is_known_by_its_description_as_mjcf(hand: KnownHand) -> None:
+    """Of MuJoCo's own import of the URDF: a second road to the same joints."""
+    spec = mujoco.MjSpec.from_string(robot_urdf(hand.T_hand_camera, hand))
+    spec.compiler.fusestatic = False
+    spec.compiler.boundmass = spec.compiler.boundinertia = 1e-3
+    spec.compile()
+    assert known_hand(load_description(spec.to_xml(), hand.name, (), 0.01)) == (hand, "")
 
 
 @EACH

@@ -1132,6 +1132,48 @@ MUTANTS = [
         "return MIN_LIFT",
         "tests/worlds/test_close_and_lift.py::test_a_lift_as_recorded_is_followed_and_sets_the_height",
     ),
+    Mutant(
+        "dgeval/robots/mjcf_description.py",
+        "names[other], a1, at + a0 - a1 * at_other",
+        "names[other], a1, a0",
+        "tests/robots/test_mjcf_description.py::test_solids_limits_and_coupling",
+    ),
+    Mutant(
+        "dgeval/robots/mjcf_description.py",
+        "above, origin = joint.child, invert(anchor)",
+        "above, origin = joint.child, np.eye(4)",
+        "tests/robots/test_mjcf_description.py::test_links_are_where_mujoco_has_them",
+    ),
+    Mutant(
+        "dgeval/robots/mjcf_description.py",
+        "replace(joint, origin=joint.moved(start))",
+        "joint",
+        "tests/robots/test_mjcf_description.py::test_links_are_where_mujoco_has_them",
+    ),
+    Mutant(
+        "dgeval/hindsight/free_path.py",
+        "while len(used) > LEAST_COUNT and hand_from(used[-1]) < TOUCHING_M:",
+        "while False:",
+        "tests/hindsight/test_free_path.py::test_a_push_does_not_bend_the_path_before_it",
+    ),
+    Mutant(
+        "dgeval/hindsight/free_path.py",
+        "and hand_from(s) >= TOUCHING_M:",
+        "and True:",
+        "tests/hindsight/test_free_path.py::test_a_push_does_not_bend_the_path_before_it",
+    ),
+    Mutant(
+        "dgeval/verdict/evidence.py",
+        "return max(0, tick - self.last_seen) * CONTROL_S",
+        "return max(0, tick) * CONTROL_S",
+        "tests/verdict/test_decide.py::test_the_drift_begins_where_the_object_was_last_seen",
+    ),
+    Mutant(
+        DRAWS,
+        "sd_drift = min(scene.sd_velocity, BLIND_SD_M / unseen_s) if unseen_s else 0.0",
+        "sd_drift = 0.0",
+        "tests/verdict/test_decide.py::test_an_object_that_was_not_seen_to_the_end_drifts",
+    ),
 ]
 
 
