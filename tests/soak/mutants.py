@@ -856,7 +856,7 @@ MUTANTS = [
         "tests/robots/test_hand_links.py",
     ),
     Mutant(
-        "dgeval/robots/loading.py",
+        "dgeval/robots/description.py",
         "offset + multiplier * added",
         "offset + added",
         "tests/robots/test_hand_links.py",
