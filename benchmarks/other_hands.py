@@ -194,9 +194,10 @@ def tables(rows: list[dict[str, Any]], ways: tuple[str, ...]) -> str:
         low, high = wilson(ended, len(closed))
         said = [r[way]["class"] for r in failed]
         f1, f_low, f_high = macro_f1(truth, said, CLASSES)
-        told = [(r[way]["p"], r["truth"] == r[way]["class"]) for r in failed if r[way]["p"]]
+        answered = [r for r in failed if r[way]["class"] != "unknown"]
         off = calibration_error(
-            np.array([max(p) for p, _ in told]), np.array([ok for _, ok in told])
+            np.array([max(r[way]["p"][:3]) for r in answered]),
+            np.array([r["truth"] == r[way]["class"] for r in answered]),
         )
         lines.append([
             way, f"{ended} of {len(closed)} [{low:.2f}, {high:.2f}], {unsaid} unknown",

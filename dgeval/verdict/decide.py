@@ -76,12 +76,14 @@ class Draws:
     """The draws that were asked, the share of all draws that fail as recorded, the instrument.
 
     blind: probability that the instrument tells nothing of the trial, however its draws agree.
+    softened: how often a draw was made again with half of the force, which pressed too deep.
     """
 
     asked: tuple[Draw, ...]
     share_reproduced: float
     instrument: str
     blind: float = 0.0
+    softened: int = 0
 
 
 @dataclass(frozen=True)

@@ -171,6 +171,11 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
             "it for 0.1 s"
         )
     draws = decision.draws
+    if draws.softened:
+        notes.append(
+            f"verdict: {draws.softened} times a draw pressed the hand more than 2 mm into the "
+            "object and was made again with half of the force"
+        )
     notes.append(
         f"verdict: {draws.instrument}, {len(draws.asked)} draws, "
         f"{draws.share_reproduced:.0%} reproduce the failure"

@@ -32,6 +32,7 @@ REACHED_M = 0.02  # m, hand to object; before that, what lies off the path is an
 # rad; a finger farther than this from where it was recorded says no more than that
 MISMATCH_MOST = 0.3
 ERROR_LEAST_M = 0.001  # of the palm; smaller ones put nothing right
+CLEAR_M = 0.001  # hand in object, up to which it is not in it yet; ours
 WORLD_X = 0.5  # where the object stands in the world of `worlds.scene`
 
 
@@ -243,9 +244,10 @@ class Twin(HandOnHandle):
 
         Sets `mismatch`, rad or m: how far the closing fingers are from where they were recorded,
         and `strayed`, m: how far the object, with the hand at it, is from where it was seen. Both
-        are 0 where that is not known.
+        are 0 where that is not known. `pressed`, m: how deep the closing hand went into the object,
+        0 where it was in it before.
         """
-        self.mismatch = self.strayed = 0.0
+        self.mismatch = self.strayed = self.pressed = 0.0
         scene, end = self.scene, self.scene.reference
         self._approached = None
         if self._first is None:
@@ -256,9 +258,12 @@ class Twin(HandOnHandle):
             return True
         self.restore(self._approached.states[end])
         closing, fingers = self.close(end), []
+        clear = self.penetration() < CLEAR_M
         while closing.success is None:
             closing.step()
             fingers.append(self.data.qpos[self.driven].copy())
+            if clear:
+                self.pressed = max(self.pressed, self.penetration())
         self._height = closing.height
         n = min(len(fingers), len(scene.hand.closing))
         if n:

@@ -1174,6 +1174,12 @@ MUTANTS = [
         "sd_drift = 0.0",
         "tests/verdict/test_decide.py::test_an_object_that_was_not_seen_to_the_end_drifts",
     ),
+    Mutant(
+        DRAWS,
+        "force, softened = 0.5 * force, softened + 1",
+        "force, softened = 0.9 * force, softened + 1",
+        f"{TEST_DECIDE}::test_a_grip_that_presses_too_deep_is_made_again_with_less_force",
+    ),
 ]
 
 

@@ -83,6 +83,7 @@ class GivenDraw:
     reproduced: bool = True
     mismatch: float = 0.0
     strayed: float = 0.0
+    pressed_by_n: float = 0.0
 
 
 @dataclass
@@ -93,6 +94,7 @@ class Physics:
 
     draws: list[GivenDraw]
     made: list[tuple[tuple[float, float, float], float, float]] = field(default_factory=list)
+    forces: list[float] = field(default_factory=list)
     drifts: list[tuple[float, float]] = field(default_factory=list)
     asked: list[int] = field(default_factory=list)
     weights: list[float] = field(default_factory=list)
@@ -115,11 +117,14 @@ class Physics:
     ) -> GivenTwin:
         assert isinstance(scene, Scene)
         assert solid == "solid"
-        assert force == 1.0, "the drives of a known hand are its own"
+        assert scene.gripper is not FIVE_FINGERS or force == 1.0, (
+            "a known hand's drives are its own"
+        )
+        self.forces.append(force)
         self.made.append((offset, friction, mass))
         self.drifts.append(drift)
         index = len(self.made) - 1
-        return GivenTwin(self, index, self.draws[min(index, len(self.draws) - 1)])
+        return GivenTwin(self, index, self.draws[min(index, len(self.draws) - 1)], force)
 
 
 @dataclass
@@ -127,9 +132,11 @@ class GivenTwin:
     physics: Physics
     index: int
     draw: GivenDraw
+    force: float
 
     def approach(self) -> bool:
         self.mismatch, self.strayed = self.draw.mismatch, self.draw.strayed
+        self.pressed = self.draw.pressed_by_n * self.force
         return self.draw.reproduced
 
     def ask(self, thresholds: Thresholds, reproduced: bool, weight: float) -> Draw:
@@ -334,6 +341,31 @@ def test_a_hand_by_its_description_is_never_as_sure_as_its_draws(
     mixed = 0.75 * np.array(by_name.probabilities[:3]) + 0.25 / 3
     assert by_description.probabilities[:3] == pytest.approx(mixed)
     assert sum(by_description.probabilities) == pytest.approx(1.0)
+
+
+def test_a_grip_that_presses_too_deep_is_made_again_with_less_force(
+    physics: Replace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a drawn force that drives fingers through the object, and one that is not counted.
+
+    1 mm at 15 N, as far as proportional: up to 30 N are fine.
+    """
+    twin = physics(GivenDraw(pressed_by_n=0.001))
+    hand = SimpleNamespace(mismatch_sd=FIVE_FINGERS.mismatch_sd, force_n=(3.0, 60.0))
+    monkeypatch.setattr(f"{DRAWS}.DescribedHand", SimpleNamespace)
+    decision = decided(still(gripper=hand), "twin", 3, 0, 0.0)
+    deep = [force for force in twin.forces if force > 2.0]
+    assert deep
+    assert max(twin.forces) <= 4.0
+    assert len(twin.forces) == 12 + len(deep)
+    assert decision.draws.softened == len(deep)
+    for k, force in enumerate(twin.forces):
+        if force > 2.0:
+            assert twin.forces[k + 1] == force / 2
+            assert twin.made[k + 1] == twin.made[k]
+    hard = physics(GivenDraw(pressed_by_n=1.0))
+    decided(still(gripper=hand), "twin", 3, 0, 0.0)
+    assert min(hard.forces) > 0.1, "no force is below the least"
 
 
 def test_the_order_of_the_classes() -> None:
