@@ -196,7 +196,11 @@ def class_of(decision: Decision) -> str:
 
 
 def verdict_on(
-    tmp_path: Path, faults: Faults, thing: str = "sugar_box", method: str = "twin"
+    tmp_path: Path,
+    faults: Faults,
+    thing: str = "sugar_box",
+    method: str = "twin",
+    draws: int = 3,
 ) -> tuple[str | None, Decision]:
     """What is true of a constructed trial, and what the verdict says of it."""
     from dgeval.simulation.truth import prove
@@ -205,7 +209,7 @@ def verdict_on(
     run, world = simulate(campaign, Plan("t", thing, 0.08, 0.47, -0.2, 0.3, -0.2, faults, 5, 0))
     assert run.finish is None or not run.finish.success
     truth = prove(run, world, near=False)
-    return truth.failure_class, decided(modelled(run, world), method=method)
+    return truth.failure_class, decided(modelled(run, world), draws, method)
 
 
 @pytest.mark.slow
@@ -242,7 +246,7 @@ def test_an_error_of_the_path_far_from_the_hand_is_no_push(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_probabilities_are_shares(tmp_path: Path) -> None:
     for method in ("twin", "geometry"):
-        _, said = verdict_on(tmp_path, Faults(close_shift=-2.0), method=method)
+        _, said = verdict_on(tmp_path, Faults(close_shift=-2.0), method=method, draws=1)
         assert abs(sum(said.probabilities) - 1) < 1e-9
         assert min(said.probabilities) >= 0
 
