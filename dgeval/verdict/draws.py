@@ -13,7 +13,6 @@ from dgeval.failure_rule import HANDED_OVER, Thresholds, Unknown
 from dgeval.robots.described_hand import FORCE_N, LEAST_FORCE_N, DescribedHand
 from dgeval.robots.hand import Hand
 from dgeval.verdict.decide import (
-    BLIND_SD_M,
     Decision,
     Draw,
     Draws,
@@ -84,7 +83,9 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
     solid = solid_from_cloud(scene.points, held=scene.held)
     sd_m = float(np.clip(scene.sd_seen_m, SD_LEAST_M, SD_MOST_M))
     unseen_s = scene.unseen_s(scene.reference)
-    sd_drift = min(scene.sd_velocity, BLIND_SD_M / unseen_s) if unseen_s else 0.0
+    # however uncertain its place is at the close, the hand was sent there: with draws as wide as
+    # that an object that was pushed would not have been caught anyway
+    sd_drift = min(scene.sd_velocity, SD_MOST_M / unseen_s) if unseen_s else 0.0
     sd_turn = np.radians(float(np.clip(scene.sd_deg, SD_LEAST_DEG, SD_MOST_DEG)))
     described = isinstance(scene.gripper, DescribedHand)
     softened = 0

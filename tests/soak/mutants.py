@@ -1032,7 +1032,7 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/verdict/draws.py",
-        "blind = BLIND_DESCRIBED if isinstance(scene.gripper, DescribedHand) else 0.0",
+        "blind = BLIND_DESCRIBED if described else 0.0",
         "blind = 0.0",
         "tests/verdict/test_decide.py",
     ),
@@ -1170,7 +1170,7 @@ MUTANTS = [
     ),
     Mutant(
         DRAWS,
-        "sd_drift = min(scene.sd_velocity, BLIND_SD_M / unseen_s) if unseen_s else 0.0",
+        "sd_drift = min(scene.sd_velocity, SD_MOST_M / unseen_s) if unseen_s else 0.0",
         "sd_drift = 0.0",
         "tests/verdict/test_decide.py::test_an_object_that_was_not_seen_to_the_end_drifts",
     ),

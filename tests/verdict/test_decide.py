@@ -622,11 +622,11 @@ def test_an_object_that_was_not_seen_to_the_end_drifts(physics: Replace) -> None
     """Catches a place that is as certain seconds after the last sight as then, and a drift of what
     was seen to the end.
 
-    0.8 s unseen at 5 mm/s; 80 seeds as above. No drift leads farther than 25 mm, as one standard
+    0.8 s unseen at 5 mm/s; 80 seeds as above. No drift leads farther than 6 mm, as one standard
     deviation.
     """
     n = 101
-    for speed, unseen, sd in ((0.005, 80, 0.005), (0.1, 80, 0.03125), (0.005, 0, 0.0)):
+    for speed, unseen, sd in ((0.005, 80, 0.005), (0.1, 80, 0.0075), (0.005, 0, 0.0)):
         drifts = []
         for seed in range(80):
             twin = physics(GivenDraw())
