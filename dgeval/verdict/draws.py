@@ -81,11 +81,7 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
     ones, of `draws` where these agree, else of up to MOST.
     """
     solid = solid_from_cloud(scene.points, held=scene.held)
-    sd_m = float(np.clip(scene.sd_seen_m, SD_LEAST_M, SD_MOST_M))
-    unseen_s = scene.unseen_s(scene.reference)
-    # however uncertain its place is at the close, the hand was sent there: with draws as wide as
-    # that an object that was pushed would not have been caught anyway
-    sd_drift = min(scene.sd_velocity, SD_MOST_M / unseen_s) if unseen_s else 0.0
+    sd_m = float(np.clip(scene.sd_m, SD_LEAST_M, SD_MOST_M))
     sd_turn = np.radians(float(np.clip(scene.sd_deg, SD_LEAST_DEG, SD_MOST_DEG)))
     described = isinstance(scene.gripper, DescribedHand)
     softened = 0
@@ -103,16 +99,12 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
             dx, dy, turn, friction, mass = 0.0, 0.0, 0.0, 1.0, 1.0
         offset = (float(dx), float(dy), float(turn))
         force = _force(scene.gripper, rng, k)
-        drift = (0.0, 0.0)
-        if k and sd_drift:
-            vx, vy = generator(seed, "verdict drift", k).normal(0, wider * sd_drift, 2)
-            drift = (float(vx), float(vy))
         try:
-            twin = Twin(scene, solid, offset, float(friction), float(mass), force, drift)
+            twin = Twin(scene, solid, offset, float(friction), float(mass), force)
             reproduced = twin.approach()
             while described and twin.pressed > PRESSED_M and force > LEAST_FORCE_N / FORCE_N:
                 force, softened = 0.5 * force, softened + 1
-                twin = Twin(scene, solid, offset, float(friction), float(mass), force, drift)
+                twin = Twin(scene, solid, offset, float(friction), float(mass), force)
                 reproduced = twin.approach()
         except UnstableError:
             continue

@@ -61,12 +61,10 @@ class Scene:
     points (m, 3) m: the object at the reference. free (n, 3) m: its undisturbed displacement from
     there, by tick. velocity (3,) m/s: of the undisturbed object at the reference. sd_m, sd_deg:
     standard deviations of its place and turn at the close, or when the hand was nearest if it never
-    came. last_seen: tick at which the undisturbed object was last seen, with standard deviations
-    sd_seen_m of its place then, and sd_velocity, m/s, of its velocity from then on. close: tick of
-    the close command. seen (n, 4, 4): by tick, the motion from the reference to where the object
-    was seen, NaN where it was not. gripper: the recorded hand. beliefs: the
-    robot's at the reference. held: a person holds the object in the air and lets go when it is
-    gripped.
+    came. last_seen: tick at which the undisturbed object was last seen. close: tick of the close
+    command. seen (n, 4, 4): by tick, the motion from the reference to where the object was seen,
+    NaN where it was not. gripper: the recorded hand. beliefs: the robot's at the reference. held: a
+    person holds the object in the air and lets go when it is gripped.
     """
 
     hand: HandMotion
@@ -76,8 +74,6 @@ class Scene:
     sd_m: float
     sd_deg: float
     last_seen: int
-    sd_seen_m: float
-    sd_velocity: float
     close: int | None
     seen: Array
     gripper: Hand
@@ -187,8 +183,6 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
         hindsight.path.sd_at(kept[nearest]),
         float(np.degrees(hindsight.path.sd_angle)),
         int(np.searchsorted(hand.t_ns, hindsight.path.t_ns[-1])),
-        float(hindsight.path.sd[-1]),
-        hindsight.path.sd_velocity,
         None if close_ns is None else len(kept) - 1,
         _seen(hindsight, T_support_base, hand.t_ns, end_ns),
         gripper,

@@ -55,8 +55,7 @@ class Twin(HandOnHandle):
     """One draw: the scene with a solid of its cloud, displaced by (dx, dy m, turn rad).
 
     friction, mass: factors on the solid's sliding friction and mass. force: factor on what the
-    drives of the fingers give. drift (2,) m/s: velocity, besides the scene's, since the undisturbed
-    object was last seen.
+    drives of the fingers give.
     """
 
     def __init__(
@@ -67,13 +66,10 @@ class Twin(HandOnHandle):
         friction: float,
         mass: float,
         force: float = 1.0,
-        drift: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.scene = scene
         self.target, centre = replace(solid[0], mass=solid[0].mass * mass), solid[1]
-        self.velocity = scene.velocity + np.array([*drift, 0.0])
-        self._drift = np.array([*drift, 0.0])
-        speed = 0.0 if scene.held else float(self.velocity[1])
+        speed = 0.0 if scene.held else float(scene.velocity[1])
         model = build(self.target, speed, "hand", presented=scene.held, gripper=scene.gripper)
         rest = float(centre[2]) if scene.held else self.target.rest_height()
         super().__init__(model, scene.gripper, rest)
@@ -120,7 +116,7 @@ class Twin(HandOnHandle):
     def undisturbed(self, tick: int) -> Array:
         """(7,) pose of the object in MuJoCo's order."""
         half = self._turn / 2
-        place = self._start + self.scene.free[tick] + self._drift * self.scene.unseen_s(tick)
+        place = self._start + self.scene.free[tick]
         return np.array([*place, np.cos(half), 0.0, 0.0, np.sin(half)])
 
     def _put_hand(self, T: Array, velocity: Array, spin: Array) -> None:
@@ -134,7 +130,7 @@ class Twin(HandOnHandle):
 
     def put_object(self, tick: int) -> None:
         """The object undisturbed at a tick; `mj_forward` is the caller's."""
-        self.place_object(self.undisturbed(tick), np.array([*self.velocity, 0, 0, 0]))
+        self.place_object(self.undisturbed(tick), np.array([*self.scene.velocity, 0, 0, 0]))
         self._present(tick)
 
     def _present(self, tick: int) -> None:
@@ -171,7 +167,7 @@ class Twin(HandOnHandle):
         angle = 2 * np.arccos(min(1.0, abs(float(turn @ now[3:]))))
         if apart < RESYNC_M and (self.target.rolls or angle < RESYNC_RAD):
             return [apart]
-        velocity = np.array([*self.velocity, 0, 0, 0])
+        velocity = np.array([*self.scene.velocity, 0, 0, 0])
         self.place_object(np.array([*place, *turn]), velocity)
         mujoco.mj_forward(self.model, d)
         return [apart]
@@ -199,7 +195,7 @@ class Twin(HandOnHandle):
     def move_hand(self, twist: Array, fingers: Array) -> None:
         """As in `HandAndObject`; who still holds the object goes on as before."""
         if self.held_by_presenter:
-            self.data.mocap_pos[self._presenter] += self.velocity * CONTROL_S
+            self.data.mocap_pos[self._presenter] += self.scene.velocity * CONTROL_S
         self._carry(twist, fingers)
 
     def _carry(self, twist: Array, fingers: Array) -> None:

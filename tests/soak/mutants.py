@@ -1163,18 +1163,6 @@ MUTANTS = [
         "tests/hindsight/test_free_path.py::test_a_push_does_not_bend_the_path_before_it",
     ),
     Mutant(
-        "dgeval/verdict/evidence.py",
-        "return max(0, tick - self.last_seen) * CONTROL_S",
-        "return max(0, tick) * CONTROL_S",
-        "tests/verdict/test_decide.py::test_the_drift_begins_where_the_object_was_last_seen",
-    ),
-    Mutant(
-        DRAWS,
-        "sd_drift = min(scene.sd_velocity, SD_MOST_M / unseen_s) if unseen_s else 0.0",
-        "sd_drift = 0.0",
-        "tests/verdict/test_decide.py::test_an_object_that_was_not_seen_to_the_end_drifts",
-    ),
-    Mutant(
         DRAWS,
         "force, softened = 0.5 * force, softened + 1",
         "force, softened = 0.9 * force, softened + 1",

@@ -31,8 +31,6 @@ from dgeval.robots.parallel_jaw import HAND as JAW
 from dgeval.verdict.decide import Decision, Draw
 from dgeval.verdict.draws import decide_scene
 from dgeval.verdict.evidence import HandMotion, Scene
-from dgeval.verdict.twin import Twin
-from dgeval.worlds.shape import solid_from_cloud
 
 DRAWS = "dgeval.verdict.draws"
 TICK_S = 0.01
@@ -62,7 +60,7 @@ def scene_with(hand: Array, **changed: object) -> Scene:
     )
     values: dict[str, object] = {
         "hand": motion, "points": corners, "free": np.zeros((n, 3)), "velocity": np.zeros(3),
-        "sd_m": 0.003, "sd_deg": 2.0, "last_seen": n - 1, "sd_seen_m": 0.003, "sd_velocity": 0.0,
+        "sd_m": 0.003, "sd_deg": 2.0, "last_seen": n - 1,
         "close": n - 1, "seen": np.full((n, 4, 4), np.nan), "gripper": FIVE_FINGERS,
         "beliefs": Unknown("beliefs not recorded"),
     }  # fmt: skip
@@ -95,7 +93,6 @@ class Physics:
     draws: list[GivenDraw]
     made: list[tuple[tuple[float, float, float], float, float]] = field(default_factory=list)
     forces: list[float] = field(default_factory=list)
-    drifts: list[tuple[float, float]] = field(default_factory=list)
     asked: list[int] = field(default_factory=list)
     weights: list[float] = field(default_factory=list)
     thresholds: list[Thresholds] = field(default_factory=list)
@@ -113,7 +110,6 @@ class Physics:
         friction: float,
         mass: float,
         force: float,
-        drift: tuple[float, float],
     ) -> GivenTwin:
         assert isinstance(scene, Scene)
         assert solid == "solid"
@@ -122,7 +118,6 @@ class Physics:
         )
         self.forces.append(force)
         self.made.append((offset, friction, mass))
-        self.drifts.append(drift)
         index = len(self.made) - 1
         return GivenTwin(self, index, self.draws[min(index, len(self.draws) - 1)], force)
 
@@ -591,7 +586,7 @@ def test_how_widely_the_draws_are_spread(physics: Replace) -> None:
     80 seeds: 400 and 480 draws, of which the standard deviation is known to 3.5 %; five times
     that is allowed.
     """
-    found = drawn(physics, 80, sd_seen_m=0.003, sd_deg=2.0)
+    found = drawn(physics, 80, sd_m=0.003, sd_deg=2.0)
     turn = np.radians(2.0)
     narrow, wide = (0.003, 0.003, turn, 0.15, 0.7), (0.006, 0.006, 2 * turn, 0.15, 0.7)
     for some, sd in ((found[:, 1:6], narrow), (found[:, 6:], wide)):
@@ -603,8 +598,8 @@ def test_how_widely_the_draws_are_spread(physics: Replace) -> None:
 @pytest.mark.parametrize(
     ("given", "taken"),
     [
-        ({"sd_seen_m": 0.0, "sd_deg": 0.0}, {"sd_seen_m": 0.0015, "sd_deg": 1.0}),
-        ({"sd_seen_m": 0.020, "sd_deg": 30.0}, {"sd_seen_m": 0.006, "sd_deg": 5.0}),
+        ({"sd_m": 0.0, "sd_deg": 0.0}, {"sd_m": 0.0015, "sd_deg": 1.0}),
+        ({"sd_m": 0.020, "sd_deg": 30.0}, {"sd_m": 0.006, "sd_deg": 5.0}),
     ],
 )
 def test_the_spread_is_kept_within_limits(
@@ -612,49 +607,16 @@ def test_the_spread_is_kept_within_limits(
 ) -> None:
     """Catches draws that lie all in one place, and ones that lie anywhere."""
     np.testing.assert_allclose(drawn(physics, 2, **given), drawn(physics, 2, **taken), rtol=1e-12)
-    doubled = drawn(physics, 2, sd_seen_m=0.004, sd_deg=4.0)[..., :3]
+    doubled = drawn(physics, 2, sd_m=0.004, sd_deg=4.0)[..., :3]
     np.testing.assert_allclose(
-        doubled, 2 * drawn(physics, 2, sd_seen_m=0.002, sd_deg=2.0)[..., :3], rtol=1e-12
+        doubled, 2 * drawn(physics, 2, sd_m=0.002, sd_deg=2.0)[..., :3], rtol=1e-12
     )
 
 
-def test_an_object_that_was_not_seen_to_the_end_drifts(physics: Replace) -> None:
-    """Catches a place that is as certain seconds after the last sight as then, and a drift of what
-    was seen to the end.
-
-    0.8 s unseen at 5 mm/s; 80 seeds as above. No drift leads farther than 6 mm, as one standard
-    deviation.
-    """
-    n = 101
-    for speed, unseen, sd in ((0.005, 80, 0.005), (0.1, 80, 0.0075), (0.005, 0, 0.0)):
-        drifts = []
-        for seed in range(80):
-            twin = physics(GivenDraw())
-            scene = scene_with(np.zeros((n, 3)), sd_velocity=speed, last_seen=n - 1 - unseen)
-            decided(scene, "twin", 3, seed, 0.0)
-            assert twin.drifts[0] == (0.0, 0.0)
-            drifts.append(twin.drifts)
-        found = np.array(drifts)
-        assert found[:, 1:6].std() == pytest.approx(sd, rel=0.17)
-        assert found[:, 6:].std() == pytest.approx(2 * sd, rel=0.17)
-
-
-def test_the_drift_begins_where_the_object_was_last_seen() -> None:
-    along = np.linspace(-0.02, 0.02, 9)
-    x, y, z = (a.ravel() for a in np.meshgrid(along, along, along))
-    cube = np.stack([x, y, z + 0.02], axis=1)[np.abs([x, y, z]).max(axis=0) > 0.0199]
-    scene = scene_with(np.zeros((101, 3)), last_seen=60, points=cube)
-    solid = solid_from_cloud(scene.points, held=False)
-    still, drifting = (
-        Twin(scene, solid, (0.0, 0.0, 0.0), 1.0, 1.0, drift=drift)
-        for drift in ((0.0, 0.0), (0.01, -0.02))
-    )
-    for tick, seconds in ((0, 0.0), (60, 0.0), (61, 0.01), (100, 0.4)):
-        apart = drifting.undisturbed(tick)[:3] - still.undisturbed(tick)[:3]
-        assert apart == pytest.approx([0.01 * seconds, -0.02 * seconds, 0.0])
-    assert drifting.velocity == pytest.approx([0.01, -0.02, 0.0])
-    belt = drifting.model.geom("belt").id
-    assert drifting.model.geom_surfacevel[belt, 1] == pytest.approx(-0.02)
+def test_the_time_since_the_object_was_seen_on_its_path() -> None:
+    """Catches ticks for seconds, and a time that runs before the last sight."""
+    scene = scene_with(np.zeros((101, 3)), last_seen=60)
+    assert [scene.unseen_s(k) for k in (0, 60, 61, 100)] == pytest.approx([0.0, 0.0, 0.01, 0.4])
 
 
 # geometry alone: the grasp centre must come to within 35 mm of the object's middle
