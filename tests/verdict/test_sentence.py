@@ -107,6 +107,11 @@ class Stages:
 
 Replace = Callable[..., Stages]
 CONFIG = load_config().verdict
+# of a scene: the object was seen to the close, and the log holds the lift
+LIFTED: dict[str, Any] = {
+    "close": 100, "reference": 100, "sd_m": 0.003, "unseen_s": lambda _: 0.0,
+    "hand": SimpleNamespace(finish="a lift"),
+}  # fmt: skip
 BLAMED = Blame("tracking", 0.6, {"servo": 0.0031, "tracking": 0.0204}, "recorded")
 
 
@@ -118,7 +123,7 @@ def stages(monkeypatch: pytest.MonkeyPatch) -> Replace:
         out = Stages(
             **{
                 "scene": SimpleNamespace(
-                    beliefs=Unknown("beliefs not recorded"), held=False, gripper=None
+                    beliefs=Unknown("beliefs not recorded"), held=False, gripper=None, **LIFTED
                 ),
                 "blame": BLAMED,
                 **given,
@@ -452,15 +457,18 @@ def notes(
     blame: Blame,
     beliefs: Beliefs | Unknown = NOT_RECORDED,
     held: bool = False,
+    **scene: object,
 ) -> list[str]:
     """The notes about the blame and the scene: without that of hindsight and that of the
-    instrument.
+    instrument. scene: what is otherwise than `LIFTED`.
     """
     draws = [draw("imprecise_pose", "missed") for _ in range(7)]
     stages(
         decision=decided(*draws),
         blame=blame,
-        scene=SimpleNamespace(beliefs=beliefs, held=held, gripper=None),
+        scene=SimpleNamespace(
+            **{"beliefs": beliefs, "held": held, "gripper": None, **LIFTED, **scene}
+        ),
     )
     first, *some, last = judge(trial(), hindsight(), CONFIG, 0).notes
     assert first == "a note of hindsight"
@@ -499,3 +507,22 @@ def test_notes_of_a_held_object(stages: Replace) -> None:
         "verdict: someone holds the object; it is assumed to be let go "
         "once two fingers press it for 0.1 s",
     ]
+
+
+def test_notes_of_what_the_log_does_not_hold(stages: Replace) -> None:
+    """Catches a lift of dgeval's own, and a place that was not seen for long, without a word."""
+    blamed = "blame: servo 3 mm, tracking 20 mm"
+    unseen = {"unseen_s": {100: 2.34}.get, "sd_m": 0.0121}
+    assert notes(stages, BLAMED, **unseen) == [
+        blamed,
+        "verdict: the object was last seen undisturbed 2.3 s before the close; where it would have "
+        "been is known to 12 mm",
+    ]
+    assert notes(stages, BLAMED, unseen_s=lambda _: 0.5) == [blamed]
+    assert notes(stages, BLAMED, close=None, **unseen) == [blamed]
+    [_, lift] = notes(stages, BLAMED, hand=SimpleNamespace(finish=None))
+    assert lift == (
+        "verdict: the lift is dgeval's own, straight up: after the close the log shows no whole "
+        "rise of the hand by 0.05 m or more"
+    )
+    assert notes(stages, BLAMED, close=None, hand=SimpleNamespace(finish=None)) == [blamed]
