@@ -38,28 +38,34 @@ def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Lin
     for element in link.collisions or link.visuals:
         T = np.eye(4) if element.origin is None else np.asarray(element.origin, dtype=np.float64)
         g = element.geometry
-        solid: tuple[Kind, tuple[float, ...], float] | None = None
+        solid: tuple[Kind, tuple[float, ...]] | None = None
         if g.box is not None:
-            half = tuple(float(s) / 2 for s in g.box.size)
-            solid = "box", half, float(np.linalg.norm(half))
+            solid = "box", tuple(float(s) / 2 for s in g.box.size)
         elif g.sphere is not None:
-            r = float(g.sphere.radius)
-            solid = "sphere", (r,), r
+            solid = "sphere", (float(g.sphere.radius),)
         elif g.cylinder is not None:
-            r, h = float(g.cylinder.radius), float(g.cylinder.length) / 2
-            solid = "cylinder", (r, h), float(np.hypot(r, h))
+            solid = "cylinder", (float(g.cylinder.radius), float(g.cylinder.length) / 2)
         elif g.mesh is not None:
             try:
                 out.append(mesh_hull(link.name, T, g.mesh, mesh_dirs))
             except UnusableMeshError as error:
                 unusable.append(str(error))
         if solid is not None:
-            kind, size, bound = solid
+            kind, size = solid
             if min(size) <= 0:
                 unusable.append(f"a {kind} of size {min(size):g}")
                 continue
-            out.append(LinkShape(link.name, kind, T, size, bound=bound))
+            out.append(primitive(link.name, kind, T, size))
     return out, unusable
+
+
+def primitive(link: str, kind: Kind, T_link_shape: Array, size: tuple[float, ...]) -> LinkShape:
+    """A box, sphere, cylinder or capsule of the sizes that `LinkShape` takes."""
+    if kind == "cylinder":
+        bound = float(np.hypot(size[0], size[1]))
+    else:
+        bound = float(np.linalg.norm(size)) if kind == "box" else sum(size)
+    return LinkShape(link, kind, T_link_shape, size, bound=bound)
 
 
 def mesh_hull(link: str, T_link_shape: Array, mesh: Any, mesh_dirs: tuple[str, ...]) -> LinkShape:

@@ -23,6 +23,7 @@ from dgeval.robots.link_shapes import (
     capsules_of,
     hull_of,
     mesh_hull,
+    primitive,
     without_solids,
 )
 
@@ -266,9 +267,4 @@ def _primitive(link: str, T: Array, kind: int, size: Array) -> LinkShape | None:
     if kind not in kinds:
         return None
     name, count = kinds[kind]
-    half = tuple(float(v) for v in size[:count])
-    bound = {
-        "sphere": half[0], "capsule": sum(half), "cylinder": float(np.linalg.norm(half)),
-        "box": float(np.linalg.norm(half)),
-    }[name]  # fmt: skip
-    return LinkShape(link, name, T, half, bound=bound)
+    return primitive(link, name, T, tuple(float(v) for v in size[:count]))

@@ -13,7 +13,7 @@ from dgeval.failure_rule import Outcome, OutcomeSource, Unknown
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.robots.described_hand import DescribedHand
 from dgeval.verdict.decide import Blame, Decision, blame_of, undecided
-from dgeval.verdict.draws import decide_scene
+from dgeval.verdict.draws import PRESSED_M, decide_scene
 from dgeval.verdict.evidence import Scene, scene_of
 from dgeval.verdict.log import TrialLog
 from dgeval.verdict.outcome import outcome_of
@@ -173,8 +173,8 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
     draws = decision.draws
     if draws.softened:
         notes.append(
-            f"verdict: {draws.softened} times a draw pressed the hand more than 2 mm into the "
-            "object and was made again with half of the force"
+            f"verdict: {draws.softened} times a draw pressed the hand more than "
+            f"{PRESSED_M * 1000:.0f} mm into the object and was made again with half of the force"
         )
     notes.append(
         f"verdict: {draws.instrument}, {len(draws.asked)} draws, "

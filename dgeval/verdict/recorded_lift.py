@@ -8,8 +8,10 @@ from dgeval.geometry import Array, rotation_vector
 from dgeval.worlds.closing import CONTROL_S, Finish
 
 LOOK_S = 8.0  # after the close, in which a lift is looked for; ours
-LEAST_RISE_M = 0.05  # of the palm; less is no lift, or one that the log does not hold to its end
-LIFTED_S, LIFTED_M = 0.3, 0.005  # a palm that rises no further than this in that time has lifted
+LEAST_RISE_M = (
+    0.05  # of the hand's base; less is no lift, or one that the log does not hold to its end
+)
+LIFTED_S, LIFTED_M = 0.3, 0.005  # a hand that rises no further than this in that time has lifted
 SMOOTHED_TICKS = 5  # control periods; the poses of a log tremble by tenths of a millimetre
 
 
@@ -36,4 +38,4 @@ def _motion(poses: Array) -> Finish:
     padded = np.pad(np.hstack([step, turn]) / CONTROL_S, ((half, half), (0, 0)), mode="edge")
     window = np.ones(SMOOTHED_TICKS) / SMOOTHED_TICKS
     twists = np.stack([np.convolve(column, window, mode="valid") for column in padded.T], axis=1)
-    return Finish(twists, np.cumsum(twists[:, 2]) * CONTROL_S)
+    return Finish(twists)

@@ -36,11 +36,14 @@ class Finish:
     """How a hand went on after its close command, as a log has it.
 
     twists (n, 6): of its base by control period, m/s and rad/s, base axes; after them it rests.
-    rises (n,): of the palm at the end of each period, m; the last is the lift's.
     """
 
     twists: Array
-    rises: Array
+
+    @property
+    def rises(self) -> Array:
+        """(n,) m, of its base at the end of each period; the last is the lift's."""
+        return np.asarray(np.cumsum(self.twists[:, 2]) * CONTROL_S)
 
     @property
     def needed_m(self) -> float:
