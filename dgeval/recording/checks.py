@@ -153,8 +153,9 @@ def failed_checks(
     assert roles.depth is not None
     approach = tuple(p for p in window.pairs if close_ns is None or p.t_ns <= close_ns)
     seen = approach if len(approach) >= SAMPLED else window.pairs
+    later = window.pairs[len(seen) :]
     encoding = scan.images[roles.depth].encoding
-    against, not_quite = frame_checks(reader, seen, encoding != "32FC1", clock)
+    against, not_quite = frame_checks(reader, seen, later, encoding != "32FC1", clock)
     failed += [check for check in against if check.name not in {c.name for c in failed}]
     if reader.camera.doubt:
         mend = "if so --set 'calibration.T_colour_depth=[0,0,0,0,0,0,1]', else the transform"

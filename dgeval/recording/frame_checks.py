@@ -19,6 +19,7 @@ from dgeval.recording.depth_edges import DepthOff, depth_off
 from dgeval.recording.depth_unit import wrong_unit
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames
+from dgeval.recording.hand_seen import HandOff, hand_off
 from dgeval.recording.pairing import Pair
 from dgeval.recording.scene_corrections import corrections
 from dgeval.recording.scene_motion import (
@@ -30,24 +31,34 @@ from dgeval.recording.scene_motion import (
     seeming_motion,
 )
 
-SAMPLED = 12  # frames of a trial that are looked at
+SAMPLED, SAMPLED_LATER = 12, 4  # frames of a trial that are looked at, before and after a lift
 UNITS_M = (1.0, 1e-2, 1e-3, 1e-4, 2.5e-4)  # m per unit of depth, of cameras in use
 MUST_TELL_BESIDE = 0.034  # of the width, by which depth beside colour fails; less is a note; ours
 MUST_TELL_S = 0.04  # s, from which on a delay fails the check; less is a note; ours
+MUST_TELL_M = 0.012  # m, by which the hand is seen off, and fails; less is a note; ours
+HARDLY_A_MOUNT_M = 0.03  # m; farther off is seldom an error of calibration alone; ours
+NAMED_M = 0.002  # m; less along one axis is not named
 NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is that one
 
 
 def frame_checks(
-    reader: FrameReader, approach: tuple[Pair, ...], is_integer: bool, clock: ClockConfig
+    reader: FrameReader,
+    approach: tuple[Pair, ...],
+    later: tuple[Pair, ...],
+    is_integer: bool,
+    clock: ClockConfig,
 ) -> tuple[list[Check], str]:
     """The checks that fail, and a note, "" without, on what is near to failing.
 
-    approach: pairs before the hand lifts what it holds, which then moves with the camera; a few are
-    looked at. is_integer: whether depth is recorded in whole numbers. clock: as it is set.
+    approach, later: pairs before and after the hand lifts what it holds, which then moves with the
+    camera; a few of each are looked at. is_integer: whether depth is recorded in whole numbers.
+    clock: as it is set.
     """
-    at = np.unique(np.linspace(0, len(approach) - 1, SAMPLED).astype(int))
+    chosen = [*_few(approach, SAMPLED), *_few(later, SAMPLED_LATER)]
     lost = LostFrames([])
-    frames = list(replace(reader, pairs=tuple(approach[k] for k in at), lost=lost).frames())
+    seen = list(replace(reader, pairs=tuple(chosen), lost=lost).frames())
+    ends_ns = approach[-1].t_ns
+    frames = [frame for frame in seen if frame.t_ns <= ends_ns]
     if not frames:
         mend = "see encodings and sizes in `dgeval inspect`"
         return [Check("frames", damage.what, mend) for damage in lost.damage], ""
@@ -56,7 +67,43 @@ def frame_checks(
     if beside is not None and (beside.turned or beside.share >= MUST_TELL_BESIDE):
         return [Check("alignment", what, mend)], ""
     failed, note = _of_camera(reader, frames, is_integer, clock)
-    return failed, "; ".join(text for text in (what and f"{what}: {mend}", note) if text)
+    notes = [what and f"{what}: {mend}", note]
+    description = reader.robot.description
+    off = None if failed or description is None else hand_off(seen, description.outlines)
+    if off is not None:
+        check = _hand_check(off)
+        if off.link or np.linalg.norm(off.shift) >= MUST_TELL_M:
+            failed.append(check)
+        else:
+            notes.append(f"{check.what}; {check.mend}")
+    return failed, "; ".join(text for text in notes if text)
+
+
+def _few(pairs: tuple[Pair, ...], count: int) -> list[Pair]:
+    """At most so many of them, evenly."""
+    return [pairs[k] for k in np.unique(np.linspace(0, len(pairs) - 1, count).astype(int)) if pairs]
+
+
+def _hand_check(off: HandOff) -> Check:
+    """That the hand is seen elsewhere, or a link of it is not seen, and what mends it."""
+    if off.link:
+        what = f"depth shows what lies behind {off.link!r} where {off.through:.0%} of it should "
+        what += "be seen, and the rest of the hand in its place"
+        mend = "is it another hand's description (calibration.description), or has a joint another "
+        return Check("hand_seen", what, mend + "sign, zero or unit in the log?")
+    words = (("right", "left"), ("down", "up"), ("farther away", "nearer"))
+    told = [
+        f"{abs(m) * 1000:.0f} mm {plus if m > 0 else minus}"
+        for m, (plus, minus) in zip(off.shift, words, strict=True)
+        if abs(m) >= NAMED_M
+    ]
+    what = f"depth shows the hand {', '.join(told)} in the picture from where the camera's pose, "
+    what += "the joints and the description put it"
+    mend = "calibrate anew where the camera is on the robot (hand-eye; "
+    mend += "calibration.T_flange_camera), or in the room"
+    if np.linalg.norm(off.shift) >= HARDLY_A_MOUNT_M:
+        mend += "; or is it another hand's description (calibration.description)?"
+    return Check("hand_seen", what, mend)
 
 
 def _beside(off: DepthOff) -> tuple[str, str]:

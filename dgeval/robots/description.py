@@ -26,7 +26,7 @@ class LinkShape:
     size, m: box half lengths; capsule, cylinder (radius, half length along z); sphere (radius,).
     hull: planes of a mesh's convex hull, rows n_x n_y n_z d with n·p + d <= 0 inside. corners
     (n, 3) m: of the hull. mesh: its vertices (m, 3) m and faces (k, 3). bound, m: no point of the
-    solid is further from the shape's origin.
+    solid is further from the shape's origin. rough: it stands for something of another shape.
     """
 
     link: str
@@ -37,6 +37,7 @@ class LinkShape:
     bound: float = 0.0
     corners: Array | None = None
     mesh: tuple[Array, Array] | None = None
+    rough: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +82,8 @@ class Description:
     """Joints by child link, shapes by link, and notes on what the description does not give.
 
     mass_centres: by link, its centre of mass (3,) m in the link's frame, where one is given.
-    radius m: of capsules that stand in for solids.
+    radius m: of capsules that stand in for solids. outlines: by link whose shapes are rough, what
+    is seen of it, where its meshes are there.
     """
 
     joints: dict[str, Joint]
@@ -89,6 +91,7 @@ class Description:
     notes: list[str] = field(default_factory=list)
     mass_centres: dict[str, Array] = field(default_factory=dict)
     radius: float = 0.01
+    outlines: dict[str, list[LinkShape]] = field(default_factory=dict)
 
     def partings(self) -> list[str]:
         """The links at which two or more chains of movable joints part, in name order."""

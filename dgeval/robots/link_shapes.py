@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +36,7 @@ def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Lin
     """
     out: list[LinkShape] = []
     unusable: list[str] = []
+    rough = bool(link.collisions) and any(v.geometry.mesh is not None for v in link.visuals)
     for element in link.collisions or link.visuals:
         T = np.eye(4) if element.origin is None else np.asarray(element.origin, dtype=np.float64)
         g = element.geometry
@@ -55,8 +57,22 @@ def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Lin
             if min(size) <= 0:
                 unusable.append(f"a {kind} of size {min(size):g}")
                 continue
-            out.append(primitive(link.name, kind, T, size))
+            out.append(replace(primitive(link.name, kind, T, size), rough=rough))
     return out, unusable
+
+
+def outline_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> list[LinkShape]:
+    """What is seen of a link whose solids are simpler: its visual meshes, where all are there."""
+    out: list[LinkShape] = []
+    for element in link.visuals:
+        T = np.eye(4) if element.origin is None else np.asarray(element.origin, dtype=np.float64)
+        if element.geometry.mesh is None:
+            continue
+        try:
+            out.append(mesh_hull(link.name, T, element.geometry.mesh, mesh_dirs))
+        except UnusableMeshError:
+            return []
+    return out
 
 
 def primitive(link: str, kind: Kind, T_link_shape: Array, size: tuple[float, ...]) -> LinkShape:
@@ -163,5 +179,6 @@ def capsules_of(
         T = np.eye(4)
         T[:3, :3] = Rotation.align_vectors([end / length], [[0.0, 0.0, 1.0]])[0].as_matrix()
         T[:3, 3] = end / 2
-        out.append(LinkShape(link, "capsule", T, (radius, length / 2), bound=radius + length / 2))
-    return out or [LinkShape(link, "sphere", np.eye(4), (radius,), bound=radius)]
+        out.append(primitive(link, "capsule", T, (radius, length / 2)))
+    out = out or [primitive(link, "sphere", np.eye(4), (radius,))]
+    return [replace(shape, rough=True) for shape in out]

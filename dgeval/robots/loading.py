@@ -10,7 +10,7 @@ import numpy as np
 
 from dgeval.errors import Place, UsageError, describe
 from dgeval.robots.description import Coupling, Description, Joint, resolved
-from dgeval.robots.link_shapes import capsules_of, shapes_of, without_solids
+from dgeval.robots.link_shapes import capsules_of, outline_of, shapes_of, without_solids
 from dgeval.robots.mjcf_description import is_mjcf, load_mjcf
 
 
@@ -64,7 +64,7 @@ def load_description(
                 f"joint {joint.name} of the robot description has numbers that are none",
                 Place(source),
             )
-    shapes = {}
+    shapes, outlines = {}, {}
     substituted: list[str] = []
     unusable: list[str] = []
     mass_centres = {
@@ -84,9 +84,11 @@ def load_description(
                 Place(source),
             )
         shapes[link.name] = link_shapes
+        if any(shape.rough for shape in link_shapes):
+            outlines[link.name] = outline_of(link, mesh_dirs)
     if unusable:
         notes.append(without_solids(unusable, substituted))
-    return Description(joints, shapes, notes, mass_centres, radius)
+    return Description(joints, shapes, notes, mass_centres, radius, outlines)
 
 
 def _check_tree(robot: Any, source: str) -> None:

@@ -227,12 +227,14 @@ def _shapes(
     solid = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
     out: list[LinkShape] = []
     unusable: list[str] = []
+    rough = any(model.geom(g).name in meshes for g in geoms if g not in solid)
     for g in solid or geoms:
         T = _pose(model.geom_pos[g], model.geom_quat[g])
         name = model.geom(g).name
         try:
             if name not in meshes:
                 shape = _primitive(link, T, int(model.geom_type[g]), model.geom_size[g])
+                shape = None if shape is None else replace(shape, rough=rough and bool(solid))
             elif isinstance(meshes[name], str):
                 raise UnusableMeshError(meshes[name])
             elif meshes[name].filename:

@@ -209,12 +209,17 @@ class HandUrdf:
                 self._drive(spec, joint.name, int(joint.type == mujoco.mjtJoint.mjJNT_SLIDE))
 
     def links(self) -> list[str]:
-        """The hand's links and joints as URDF text, and the joint that holds them."""
+        """The hand's links and joints as URDF text, and the joint that holds them.
+
+        A link looks as its solids do, which are what the simulated camera sees.
+        """
         root = self.root.find("link").get("name")
         mount = matrix_from_pose(np.array(self.file.mount))
         listed = [fixed("hand_root", FLANGE, root, mount)]
         for element in self.root:
             kept = etree.fromstring(etree.tostring(element))
+            if kept.find("collision") is not None:
+                etree.strip_elements(kept, "visual", with_tail=False)
             listed.append(str(etree.tostring(kept, encoding="unicode", with_tail=False)))
         return listed
 

@@ -1,0 +1,135 @@
+"""Whether the hand is seen where it should be: depth of boxes before a wall, in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dgeval.geometry import Array, Intrinsics
+from dgeval.recording.frame import Frame
+from dgeval.recording.hand_seen import hand_off
+from dgeval.robots.description import LinkShape
+from dgeval.robots.link_shapes import primitive
+
+CAMERA = Intrinsics(fx=300.0, fy=300.0, cx=159.5, cy=119.5, width=320, height=240)
+WALL_M = 0.8
+# link, half sizes and middle, m, in the camera's frame: a palm and two fingers, at several depths
+HAND = (
+    ("palm", (0.05, 0.02, 0.015), (0.0, 0.06, 0.36)),
+    ("left", (0.01, 0.03, 0.01), (-0.04, 0.01, 0.34)),
+    ("right", (0.012, 0.03, 0.01), (0.04, 0.01, 0.32)),
+)
+
+
+def _hand(moved: Array) -> list[tuple[LinkShape, Array]]:
+    out = []
+    for link, half, middle in HAND:
+        T = np.eye(4)
+        T[:3, 3] = np.array(middle) + moved
+        out.append((primitive(link, "box", np.eye(4), half), T))
+    return out
+
+
+def _depth(hand: list[tuple[LinkShape, Array]], wall: float) -> np.ndarray:
+    """Depth (H, W) m of boxes that stand straight before a wall: by the slabs of each."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    ray = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)])
+    depth = np.full(u.shape, wall)
+    for shape, T in hand:
+        middle, half = T[:3, 3], np.array(shape.size)
+        with np.errstate(divide="ignore"):
+            near, far = (middle[:, None, None] + s * half[:, None, None] for s in (-1, 1))
+            enters = np.minimum(near / ray, far / ray).max(axis=0)
+            leaves = np.maximum(near / ray, far / ray).min(axis=0)
+        hit = enters < leaves
+        depth[hit] = np.minimum(depth[hit], enters[hit])
+    return depth.astype(np.float32)
+
+
+def _frames(
+    put: Array, seen: Array, leave_out: str = "", nearest: float = 0.0, count: int = 8
+) -> list[Frame]:
+    """Frames in which the hand is put at one place and seen at another, without one of its links
+    and without depth nearer than `nearest`, m.
+    """
+    frames = []
+    for k in range(count):
+        there = [(s, T) for s, T in _hand(seen) if s.link != leave_out]
+        depth = _depth(there, WALL_M + 0.02 * k)
+        depth[depth < nearest] = 0.0
+        colour = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
+        frames.append(Frame(k, k * 10**8, colour, depth, CAMERA, None, None, _hand(put)))
+    return frames
+
+
+def test_a_hand_in_its_place_is_not_told() -> None:
+    assert hand_off(_frames(np.zeros(3), np.zeros(3))) is None
+
+
+@pytest.mark.parametrize(
+    "moved", [(0.015, 0, 0), (0, -0.015, 0), (0, 0, 0.015), (-0.03, 0.01, -0.02), (0, 0, -0.03)]
+)
+def test_a_camera_that_is_mounted_elsewhere_is_told_by_how_much(moved: tuple[float, ...]) -> None:
+    off = hand_off(_frames(np.zeros(3), np.array(moved)))
+    assert off is not None
+    assert off.link == ""
+    assert off.shift == pytest.approx(np.array(moved), abs=0.002)
+
+
+def test_a_small_error_of_the_mount_is_not_told() -> None:
+    assert hand_off(_frames(np.zeros(3), np.array([0.003, 0.0, 0.0]))) is None
+
+
+def test_a_hand_that_is_too_near_for_depth_is_not_told() -> None:
+    shifted = np.array([0.015, 0.0, 0.0])
+    assert hand_off(_frames(np.zeros(3), shifted, nearest=0.5)) is None
+
+
+def test_a_finger_that_is_not_where_its_description_has_it_is_named() -> None:
+    """As of the other side's hand, or with a joint's axis reversed: depth shows the wall."""
+    frames = _frames(np.zeros(3), np.zeros(3), leave_out="left")
+    off = hand_off(frames)
+    assert off is not None
+    assert off.link == "left"
+    assert off.through > 0.7
+    assert not off.shift.any()
+
+
+def test_a_finger_that_is_shorter_than_described_is_named() -> None:
+    frames = _frames(np.zeros(3), np.zeros(3))
+    for frame in frames:
+        frame.depth[:128] = WALL_M  # the fingers end 28 mm before their described tips
+    off = hand_off(frames)
+    assert off is not None
+    assert off.link in ("left", "right")
+    assert 0.35 < off.through < 0.65
+
+
+def test_a_link_whose_visual_mesh_is_known_is_looked_for_by_it() -> None:
+    """A collision box in place of a finger is rough; the mesh of what is seen is exact."""
+    put, seen = np.zeros(3), np.array([0.02, 0.0, 0.0])
+    frames = [
+        replace(f, hand=[(replace(s, rough=True), T) for s, T in f.hand or ()])
+        for f in _frames(put, seen)
+    ]
+    outlines = {link: [primitive(link, "box", np.eye(4), half)] for link, half, _ in HAND}
+    off = hand_off(frames, outlines)
+    assert off is not None
+    assert off.shift == pytest.approx(seen, abs=0.002)
+
+
+def test_what_is_before_the_hand_does_not_make_it_seen_elsewhere() -> None:
+    frames = _frames(np.zeros(3), np.zeros(3))
+    for frame in frames:
+        frame.depth[100:200, 100:180] = 0.25
+    assert hand_off(frames) is None
+
+
+def test_capsules_that_stand_in_for_a_mesh_say_nothing() -> None:
+    """A finger's stand-in is thinner than the finger, and may lie beside it."""
+    frames = [
+        replace(f, hand=[(replace(s, rough=True), T) for s, T in f.hand or ()])
+        for f in _frames(np.zeros(3), np.array([0.03, 0.0, 0.0]))
+    ]
+    assert hand_off(frames) is None
