@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgeval.config import ClockConfig
+from dgeval.geometry import Array, pose_from_matrix
 from dgeval.recording.camera_motion import moved_pairs
 from dgeval.recording.camera_poses import wrong_poses
 from dgeval.recording.check import Check
@@ -31,7 +32,7 @@ from dgeval.recording.scene_motion import (
     seeming_motion,
 )
 
-SAMPLED, SAMPLED_LATER = 12, 4  # frames of a trial that are looked at, before and after a lift
+SAMPLED, SAMPLED_LATER = 12, 6  # frames of a trial that are looked at, before and after a lift
 UNITS_M = (1.0, 1e-2, 1e-3, 1e-4, 2.5e-4)  # m per unit of depth, of cameras in use
 MUST_TELL_BESIDE = 0.034  # of the width, by which depth beside colour fails; less is a note; ours
 MUST_TELL_S = 0.04  # s, from which on a delay fails the check; less is a note; ours
@@ -71,7 +72,7 @@ def frame_checks(
     description = reader.robot.description
     off = None if failed or description is None else hand_off(seen, description.outlines)
     if off is not None:
-        check = _hand_check(off)
+        check = _hand_check(off, reader, seen[0].t_ns)
         if off.link or np.linalg.norm(off.shift) >= MUST_TELL_M:
             failed.append(check)
         else:
@@ -84,7 +85,7 @@ def _few(pairs: tuple[Pair, ...], count: int) -> list[Pair]:
     return [pairs[k] for k in np.unique(np.linspace(0, len(pairs) - 1, count).astype(int)) if pairs]
 
 
-def _hand_check(off: HandOff) -> Check:
+def _hand_check(off: HandOff, reader: FrameReader, t_ns: int) -> Check:
     """That the hand is seen elsewhere, or a link of it is not seen, and what mends it."""
     if off.link:
         what = f"depth shows what lies behind {off.link!r} where {off.through:.0%} of it should "
@@ -99,11 +100,27 @@ def _hand_check(off: HandOff) -> Check:
     ]
     what = f"depth shows the hand {', '.join(told)} in the picture from where the camera's pose, "
     what += "the joints and the description put it"
-    mend = "calibrate anew where the camera is on the robot (hand-eye; "
-    mend += "calibration.T_flange_camera), or in the room"
+    mend = "calibrate anew where the camera is on the robot (hand-eye), or in the room"
+    mend += _shifted_mount(off.shift, reader, t_ns)
     if np.linalg.norm(off.shift) >= HARDLY_A_MOUNT_M:
         mend += "; or is it another hand's description (calibration.description)?"
     return Check("hand_seen", what, mend)
+
+
+def _shifted_mount(shift: Array, reader: FrameReader, t_ns: int) -> str:
+    """The setting that puts the camera where the hand is seen in its place, shift (3,) m by its
+    axes; "" where depth's own frame would have to be moved too.
+    """
+    tree, camera = reader.robot.tree, reader.robot.camera_frame
+    above = tree.parent(camera, t_ns)
+    T = None if above is None else tree.lookup(above, camera, t_ns)
+    if T is None or reader.camera.alignment is not None:
+        return ""
+    T_shifted = T.copy()
+    T_shifted[:3, 3] -= T[:3, :3] @ shift
+    numbers = ",".join(f"{v:.5g}" for v in pose_from_matrix(T_shifted))
+    line = f"--set calibration.flange={above} --set 'calibration.T_flange_camera=[{numbers}]'"
+    return f"; until then, for what is as far away as the hand: {line}"
 
 
 def _beside(off: DepthOff) -> tuple[str, str]:

@@ -38,13 +38,15 @@ EDGE_M, EDGE_PX = 0.004, 3.0  # from the outline, where depth shows either; ours
 STEPS_M = (0.016, 0.008, 0.004, 0.002, 0.001)  # of the search for where the hand is
 STARTS_M = 0.020  # m, to each side, from which it is searched too
 ROUNDS = 8  # of one length of step at most
-LEAST_FRAMES = 3  # in which the hand is in view
-# points that depth must agree with, and times as many as in its place, where the hand is seen off;
-# ours. Over 33 simulated trials with a right calibration the best shift is at most 4 mm
-LEAST_SCORE, TIMES_BETTER = 60.0, 1.5
-# a point is gone through in so much of the frames that tell; points, and share of those of a link
-# that should be seen, that are gone through where the link is told; ours
-NEARLY_ALL, LEAST_POINTS, MOST_THROUGH = 0.8, 15, 0.35
+# frames in which depth agrees with so many points of the hand; and points, all frames together, and
+# times as many as in its place, where the hand is seen off; ours. Over 110 simulated trials with a
+# right calibration the best shift is then at most 4 mm; with fewer points it is up to 9
+LEAST_FRAMES, LEAST_AGREE = 5, 15
+LEAST_SCORE, TIMES_BETTER = 250.0, 1.5
+# a point is gone through in so many frames, and so much of those that tell; points, and share of
+# those of a link that should be seen, that are gone through where the link is told; ours. In those
+# trials at most 19 points and 0.28; with a thumb's axis reversed 27 and 0.41, or more
+NEARLY_ALL, LEAST_POINTS, MOST_THROUGH = 0.8, 20, 0.35
 NOTED_M = 0.006  # m, of a shift that is told; ours
 
 
@@ -93,9 +95,9 @@ def hand_off(
     stacked = _stacked(views)
     there = _score(*stacked, np.zeros(3))
     shift, best = _shift(stacked)
-    if best < LEAST_SCORE:
+    if best < LEAST_SCORE or sum(_agree(v, shift) >= LEAST_AGREE for v in views) < LEAST_FRAMES:
         return None
-    if best < max(there + LEAST_SCORE, TIMES_BETTER * there):
+    if best < TIMES_BETTER * there:
         shift = np.zeros(3)
     link, share = _through(views, links, shift)
     if share >= MOST_THROUGH:
@@ -215,6 +217,12 @@ def _farther(points: Array, frame: Frame) -> tuple[Array, Array]:
     read = frame.depth[v[inside], u[inside]]
     depth[inside] = np.where(read > 0, read, np.nan)
     return depth - points[:, 2], SAME_M + SAME_SHARE * points[:, 2]
+
+
+def _agree(view: _View, shift: Array) -> int:
+    """How many of a frame's few points depth agrees with when they are shifted."""
+    farther, same = _farther(view.points[view.some] + shift, view.frame)
+    return int((np.abs(farther) < same).sum())
 
 
 def _stacked(views: Sequence[_View]) -> _Stacked:

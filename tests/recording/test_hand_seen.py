@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
-from dgeval.geometry import Array, Intrinsics
+from dgeval.config import ClockConfig
+from dgeval.geometry import Array, Intrinsics, increment, matrix_from_pose
 from dgeval.recording.frame import Frame
+from dgeval.recording.frame_checks import frame_checks
+from dgeval.recording.frame_reader import FrameReader
 from dgeval.recording.hand_seen import hand_off
-from dgeval.robots.description import LinkShape
+from dgeval.recording.pairing import Pair
+from dgeval.recording.transforms import TransformTree
+from dgeval.robots.description import Description, LinkShape
 from dgeval.robots.link_shapes import primitive
 
 CAMERA = Intrinsics(fx=300.0, fy=300.0, cx=159.5, cy=119.5, width=320, height=240)
@@ -117,6 +125,45 @@ def test_a_link_whose_visual_mesh_is_known_is_looked_for_by_it() -> None:
     off = hand_off(frames, outlines)
     assert off is not None
     assert off.shift == pytest.approx(seen, abs=0.002)
+
+
+@dataclass(frozen=True)
+class Reads:
+    """A reader of given frames, as the checks use it."""
+
+    given: tuple[Frame, ...]
+    robot: SimpleNamespace
+    camera: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(alignment=None))
+    pairs: tuple[Pair, ...] = ()
+    lost: object = None
+
+    def frames(self) -> list[Frame]:
+        return [f for f in self.given if f.t_ns in {p.t_ns for p in self.pairs}]
+
+
+def test_a_shifted_mount_fails_and_the_printed_line_mends_it() -> None:
+    """Catches a shift with the wrong sign, or in another frame than the mount's."""
+    T_true = increment(np.array([0.1, -0.02, 0.05, 0.4, -0.2, 1.1]))
+    moved = np.array([0.0, 0.02, -0.01])  # in the camera's frame, of the hand against its place
+    T_calibrated = T_true.copy()
+    T_calibrated[:3, 3] += T_true[:3, :3] @ moved
+    tree = TransformTree(10**9)
+    tree.add_static("flange", "camera", T_calibrated)
+    robot = SimpleNamespace(
+        tree=tree, camera_frame="camera", base_frame=None, description=Description({}, {})
+    )
+    frames = tuple(_frames(np.zeros(3), moved, count=20))
+    pairs = tuple(Pair(f.t_ns, f.index, f.index) for f in frames)
+    reader = cast(FrameReader, Reads(frames, robot))
+    failed, note = frame_checks(reader, pairs[:15], pairs[15:], False, ClockConfig())
+    assert [check.name for check in failed] == ["hand_seen"]
+    assert note == ""
+    assert "20 mm down, 10 mm nearer" in failed[0].what
+    assert "calibration.flange=flange" in failed[0].mend
+    found = re.search(r"T_flange_camera=\[(.*?)\]", failed[0].mend)
+    assert found is not None
+    T_mended = matrix_from_pose(np.array([float(v) for v in found[1].split(",")]))
+    np.testing.assert_allclose(T_mended, T_true, atol=0.002)
 
 
 def test_what_is_before_the_hand_does_not_make_it_seen_elsewhere() -> None:

@@ -989,6 +989,42 @@ MUTANTS = [
         "tests/recording/test_recorded_target.py",
     ),
     Mutant(
+        "dgeval/recording/frame_checks.py",
+        "T_shifted[:3, 3] -= T[:3, :3] @ shift",
+        "T_shifted[:3, 3] += T[:3, :3] @ shift",
+        "tests/recording/test_hand_seen.py",
+    ),
+    Mutant(
+        "dgeval/recording/hand_seen.py",
+        "z = points[i, 0] + shift[0], points[i, 1] + shift[1], points[i, 2] + shift[2]",
+        "z = points[i, 0] - shift[0], points[i, 1] - shift[1], points[i, 2] - shift[2]",
+        "tests/recording/test_hand_seen.py",
+    ),
+    Mutant(
+        "dgeval/recording/hand_seen.py",
+        "through[at] += farther > same + THROUGH_M",
+        "through[at] += farther < same - THROUGH_M",
+        "tests/recording/test_hand_seen.py",
+    ),
+    Mutant(
+        "dgeval/recording/hand_seen.py",
+        "if s.link == link and not s.rough]",
+        "if s.link == link]",
+        "tests/recording/test_hand_seen.py",
+    ),
+    Mutant(
+        "dgeval/recording/hand_seen.py",
+        "shapes = outlines.get(link) or shapes",
+        "shapes = shapes or list(outlines.get(link, []))",
+        "tests/recording/test_hand_seen.py",
+    ),
+    Mutant(
+        "dgeval/recording/hand_seen.py",
+        "if best < TIMES_BETTER * there:",
+        "if best < 0 * there:",
+        "tests/recording/test_hand_seen.py",
+    ),
+    Mutant(
         "dgeval/recording/depth_edges.py",
         '"left for right": (slice(None), slice(None, None, -1), -1.0)',
         '"left for right": (slice(None), slice(None), -1.0)',
