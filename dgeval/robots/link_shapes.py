@@ -23,6 +23,7 @@ UNREADABLE = (
     ValueError, struct.error,
 )  # fmt: skip
 MOST_NAMED = 3  # shapes in a note
+MOST_FACES = 200_000  # of a mesh that is taken: more take a minute a link, and add nothing; ours
 MOST_M = 5.0  # m; a mesh that reaches farther is in mm or cm
 
 
@@ -87,7 +88,7 @@ def primitive(link: str, kind: Kind, T_link_shape: Array, size: tuple[float, ...
 def mesh_hull(link: str, T_link_shape: Array, mesh: Any, mesh_dirs: tuple[str, ...]) -> LinkShape:
     """A mesh's convex hull, which keeps the mesh.
 
-    UnusableMeshError where its file is not there, can't be read, or spans no volume.
+    UnusableMeshError where its file is not there, can't be read, is too large, or spans no volume.
     """
     import trimesh
 
@@ -100,6 +101,10 @@ def mesh_hull(link: str, T_link_shape: Array, mesh: Any, mesh_dirs: tuple[str, .
         faces = np.asarray(loaded.faces)
     except UNREADABLE as error:
         raise UnusableMeshError(f"{path.name} can't be read ({error})") from None
+    if len(faces) > MOST_FACES:
+        raise UnusableMeshError(
+            f"{path.name} has {len(faces)} faces: reduce it to {MOST_FACES} at most"
+        )
     if mesh.scale is not None:
         vertices = vertices * np.asarray(mesh.scale)
     return hull_of(link, T_link_shape, vertices, faces, path.name)
