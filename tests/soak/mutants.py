@@ -1015,7 +1015,7 @@ MUTANTS = [
     Mutant(
         "dgeval/recording/hand_seen.py",
         "shapes = outlines.get(link) or shapes",
-        "shapes = shapes or list(outlines.get(link, []))",
+        "shapes = list(shapes)",
         "tests/recording/test_hand_seen.py",
     ),
     Mutant(
