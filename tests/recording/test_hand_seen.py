@@ -166,14 +166,15 @@ def test_a_shifted_mount_fails_and_the_printed_line_mends_it() -> None:
     np.testing.assert_allclose(T_mended, T_true, atol=0.002)
 
 
-def test_a_hand_that_fills_the_picture_is_not_told() -> None:
+@pytest.mark.parametrize("seed", range(5))
+def test_a_hand_that_fills_the_picture_is_not_told(seed: int) -> None:
     """Along a plate depth agrees everywhere: what noise prefers is no finding."""
     T = np.eye(4)
     T[:3, 3] = [0.0, 0.0, 0.4]
     hand = [(primitive("palm", "box", np.eye(4), (0.4, 0.3, 0.01)), T)]
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     frames = [
-        replace(f, hand=hand, depth=_depth(hand, WALL_M) + rng.normal(0, 0.003, f.depth.shape))
+        replace(f, hand=hand, depth=_depth(hand, WALL_M) + rng.normal(0, 0.006, f.depth.shape))
         for f in _frames(np.zeros(3), np.zeros(3))
     ]
     assert hand_off(frames) is None
