@@ -28,9 +28,7 @@ NEAREST_M = 0.03  # m, from the camera, of a point that is looked for
 FINE = 320  # cells of a picture's width, in which the outline is found
 GAP_M = 2.5 * float(np.sqrt(POINT_M2))  # m, between points of one surface at most
 ACROSS = 80  # cells of a picture's width, in which the foremost points are found
-BEHIND_IT_M = (
-    0.006  # m, farther than the foremost in its cell, from which on a point is hidden; ours
-)
+BEHIND_IT_M = 0.006  # m, behind the foremost of its cell, from which on a point is hidden; ours
 # of a point's depth: m, and share of it, by which depth may differ where it shows the hand; ours
 SAME_M, SAME_SHARE = 0.006, 0.006
 THROUGH_M = 0.020  # m, farther than that, from which on depth shows what is behind the hand; ours
@@ -226,6 +224,7 @@ def _agree(view: _View, shift: Array) -> int:
 
 
 def _stacked(views: Sequence[_View]) -> _Stacked:
+    """The views' few points and depth, as `_score` takes them."""
     depth = np.stack([view.frame.depth for view in views])
     points = [view.points[view.some] for view in views]
     which = np.repeat(np.arange(len(views)), [len(p) for p in points])
