@@ -90,8 +90,12 @@ def _hand_check(off: HandOff, reader: FrameReader, t_ns: int) -> Check:
     if off.link:
         what = f"depth shows what lies behind {off.link!r} where {off.through:.0%} of it should "
         what += "be seen, and the rest of the hand in its place"
-        mend = "is it another hand's description (calibration.description), or has a joint another "
-        return Check("hand_seen", what, mend + "sign, zero or unit in the log?")
+        mend = "is it another hand's description (calibration.description), has a joint another "
+        return Check(
+            "hand_seen",
+            what,
+            mend + "sign, zero or unit in the log, or does the driver fill holes in depth?",
+        )
     words = (("right", "left"), ("down", "up"), ("farther away", "nearer"))
     told = [
         f"{abs(m) * 1000:.0f} mm {plus if m > 0 else minus}"
