@@ -82,7 +82,9 @@ def frame_checks(
 
 def _few(pairs: tuple[Pair, ...], count: int) -> list[Pair]:
     """At most so many of them, evenly."""
-    return [pairs[k] for k in np.unique(np.linspace(0, len(pairs) - 1, count).astype(int)) if pairs]
+    if not pairs:
+        return []
+    return [pairs[k] for k in np.unique(np.linspace(0, len(pairs) - 1, count).astype(int))]
 
 
 def _hand_check(off: HandOff, reader: FrameReader, t_ns: int) -> Check:

@@ -201,20 +201,44 @@ def _pixels(
     points: Array, frame: Frame
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
     """Columns and rows of points (n, 3) m, and which lie in the picture."""
-    k, z = frame.camera, np.maximum(points[:, 2], NEAREST_M)
-    u = np.rint(k.fx * points[:, 0] / z + k.cx).astype(np.intp)
-    v = np.rint(k.fy * points[:, 1] / z + k.cy).astype(np.intp)
+    ahead = points[:, 2] > NEAREST_M
+    before = np.where(ahead[:, None], points, [0.0, 0.0, NEAREST_M])
+    u, v = np.rint(frame.camera.project(before)).astype(np.intp).T
     height, width = frame.depth.shape
-    return u, v, (points[:, 2] > NEAREST_M) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return u, v, ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+
+
+@njit(cache=True)
+def _farther_at(depth: NDArray[np.float32], camera: Array, x: float, y: float, z: float) -> float:
+    """By how much depth is farther than a point, m; NaN where there is none, or no picture."""
+    if z <= NEAREST_M:
+        return np.nan
+    u = int(np.rint(camera[0] * x / z + camera[2]))
+    v = int(np.rint(camera[1] * y / z + camera[3]))
+    if u < 0 or u >= depth.shape[1] or v < 0 or v >= depth.shape[0] or depth[v, u] <= 0:
+        return np.nan
+    return float(depth[v, u] - z)
+
+
+@njit(cache=True)
+def _farther_each(depth: NDArray[np.float32], camera: Array, points: Array) -> Array:
+    """`_farther_at` of each of the points (n, 3) m."""
+    out = np.empty(len(points))
+    for i in range(len(points)):
+        out[i] = _farther_at(depth, camera, points[i, 0], points[i, 1], points[i, 2])
+    return out
 
 
 def _farther(points: Array, frame: Frame) -> tuple[Array, Array]:
     """(n,) m each: by how much depth is farther than a point, NaN without; and the tolerance."""
-    u, v, inside = _pixels(points, frame)
-    depth = np.full(len(points), np.nan)
-    read = frame.depth[v[inside], u[inside]]
-    depth[inside] = np.where(read > 0, read, np.nan)
-    return depth - points[:, 2], SAME_M + SAME_SHARE * points[:, 2]
+    farther = _farther_each(frame.depth, _camera(frame), points)
+    return farther, SAME_M + SAME_SHARE * points[:, 2]
+
+
+def _camera(frame: Frame) -> Array:
+    """(4,) px: fx, fy, cx, cy."""
+    k = frame.camera
+    return np.array([k.fx, k.fy, k.cx, k.cy])
 
 
 def _agree(view: _View, shift: Array) -> int:
@@ -228,9 +252,7 @@ def _stacked(views: Sequence[_View]) -> _Stacked:
     depth = np.stack([view.frame.depth for view in views])
     points = [view.points[view.some] for view in views]
     which = np.repeat(np.arange(len(views)), [len(p) for p in points])
-    k = [view.frame.camera for view in views]
-    cameras = np.array([(c.fx, c.fy, c.cx, c.cy) for c in k])
-    return depth, np.vstack(points), which, cameras
+    return depth, np.vstack(points), which, np.array([_camera(view.frame) for view in views])
 
 
 @njit(cache=True)
@@ -243,17 +265,10 @@ def _score(
 ) -> float:
     """How many points depth agrees with when they are shifted, less those that it goes through."""
     total = 0.0
-    _, height, width = depth.shape
     for i in range(len(points)):
         x, y, z = points[i, 0] + shift[0], points[i, 1] + shift[1], points[i, 2] + shift[2]
-        if z <= NEAREST_M:
-            continue
-        k = which[i]
-        u = int(np.rint(cameras[k, 0] * x / z + cameras[k, 2]))
-        v = int(np.rint(cameras[k, 1] * y / z + cameras[k, 3]))
-        if u < 0 or u >= width or v < 0 or v >= height or depth[k, v, u] <= 0:
-            continue
-        farther, same = depth[k, v, u] - z, SAME_M + SAME_SHARE * z
+        farther = _farther_at(depth[which[i]], cameras[which[i]], x, y, z)
+        same = SAME_M + SAME_SHARE * z
         if abs(farther) < same:
             total += 1.0 - (farther / same) ** 2
         elif farther > same + THROUGH_M:

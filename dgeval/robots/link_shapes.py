@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +38,7 @@ def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Lin
     unusable: list[str] = []
     rough = bool(link.collisions) and any(v.geometry.mesh is not None for v in link.visuals)
     for element in link.collisions or link.visuals:
-        T = np.eye(4) if element.origin is None else np.asarray(element.origin, dtype=np.float64)
+        T = _origin(element)
         g = element.geometry
         solid: tuple[Kind, tuple[float, ...]] | None = None
         if g.box is not None:
@@ -58,15 +57,20 @@ def shapes_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> tuple[list[Lin
             if min(size) <= 0:
                 unusable.append(f"a {kind} of size {min(size):g}")
                 continue
-            out.append(replace(primitive(link.name, kind, T, size), rough=rough))
+            out.append(primitive(link.name, kind, T, size, rough))
     return out, unusable
+
+
+def _origin(element: yourdfpy.Collision | yourdfpy.Visual) -> Array:
+    """T_link_element (4, 4) of a URDF's element."""
+    return np.eye(4) if element.origin is None else np.asarray(element.origin, dtype=np.float64)
 
 
 def outline_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> list[LinkShape]:
     """What is seen of a link whose solids are simpler: its visual meshes, where all are there."""
     out: list[LinkShape] = []
     for element in link.visuals:
-        T = np.eye(4) if element.origin is None else np.asarray(element.origin, dtype=np.float64)
+        T = _origin(element)
         if element.geometry.mesh is None:
             continue
         try:
@@ -76,13 +80,15 @@ def outline_of(link: yourdfpy.Link, mesh_dirs: tuple[str, ...]) -> list[LinkShap
     return out
 
 
-def primitive(link: str, kind: Kind, T_link_shape: Array, size: tuple[float, ...]) -> LinkShape:
+def primitive(
+    link: str, kind: Kind, T_link_shape: Array, size: tuple[float, ...], rough: bool = False
+) -> LinkShape:
     """A box, sphere, cylinder or capsule of the sizes that `LinkShape` takes."""
     if kind == "cylinder":
         bound = float(np.hypot(size[0], size[1]))
     else:
         bound = float(np.linalg.norm(size)) if kind == "box" else sum(size)
-    return LinkShape(link, kind, T_link_shape, size, bound=bound)
+    return LinkShape(link, kind, T_link_shape, size, bound=bound, rough=rough)
 
 
 def mesh_hull(link: str, T_link_shape: Array, mesh: Any, mesh_dirs: tuple[str, ...]) -> LinkShape:
@@ -184,6 +190,5 @@ def capsules_of(
         T = np.eye(4)
         T[:3, :3] = Rotation.align_vectors([end / length], [[0.0, 0.0, 1.0]])[0].as_matrix()
         T[:3, 3] = end / 2
-        out.append(primitive(link, "capsule", T, (radius, length / 2)))
-    out = out or [primitive(link, "sphere", np.eye(4), (radius,))]
-    return [replace(shape, rough=True) for shape in out]
+        out.append(primitive(link, "capsule", T, (radius, length / 2), rough=True))
+    return out or [primitive(link, "sphere", np.eye(4), (radius,), rough=True)]

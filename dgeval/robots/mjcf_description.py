@@ -227,14 +227,13 @@ def _shapes(
     solid = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
     out: list[LinkShape] = []
     unusable: list[str] = []
-    rough = any(model.geom(g).name in meshes for g in geoms if g not in solid)
+    rough = bool(solid) and any(model.geom(g).name in meshes for g in geoms if g not in solid)
     for g in solid or geoms:
         T = _pose(model.geom_pos[g], model.geom_quat[g])
         name = model.geom(g).name
         try:
             if name not in meshes:
-                shape = _primitive(link, T, int(model.geom_type[g]), model.geom_size[g])
-                shape = None if shape is None else replace(shape, rough=rough and bool(solid))
+                shape = _primitive(link, T, int(model.geom_type[g]), model.geom_size[g], rough)
             elif isinstance(meshes[name], str):
                 raise UnusableMeshError(meshes[name])
             elif meshes[name].filename:
@@ -250,7 +249,7 @@ def _shapes(
     return out, unusable
 
 
-def _primitive(link: str, T: Array, kind: int, size: Array) -> LinkShape | None:
+def _primitive(link: str, T: Array, kind: int, size: Array, rough: bool) -> LinkShape | None:
     """A solid of MuJoCo's sizes; None for a plane, which is no part of a robot."""
     import mujoco
 
@@ -269,4 +268,4 @@ def _primitive(link: str, T: Array, kind: int, size: Array) -> LinkShape | None:
     if kind not in kinds:
         return None
     name, count = kinds[kind]
-    return primitive(link, name, T, tuple(float(v) for v in size[:count]))
+    return primitive(link, name, T, tuple(float(v) for v in size[:count]), rough)
