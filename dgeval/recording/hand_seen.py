@@ -208,30 +208,33 @@ def _pixels(
     return u, v, ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
 
 
-@njit(cache=True)
-def _farther_at(depth: NDArray[np.float32], camera: Array, x: float, y: float, z: float) -> float:
-    """By how much depth is farther than a point, m; NaN where there is none, or no picture."""
+@njit(cache=True, inline="always")
+def _farther_at(
+    depth: NDArray[np.float32], cameras: Array, k: int, x: float, y: float, z: float
+) -> float:
+    """By how much depth of frame k is farther than a point, m; NaN without depth there."""
     if z <= NEAREST_M:
         return np.nan
-    u = int(np.rint(camera[0] * x / z + camera[2]))
-    v = int(np.rint(camera[1] * y / z + camera[3]))
-    if u < 0 or u >= depth.shape[1] or v < 0 or v >= depth.shape[0] or depth[v, u] <= 0:
+    u = int(np.rint(cameras[k, 0] * x / z + cameras[k, 2]))
+    v = int(np.rint(cameras[k, 1] * y / z + cameras[k, 3]))
+    _, height, width = depth.shape
+    if u < 0 or u >= width or v < 0 or v >= height or depth[k, v, u] <= 0:
         return np.nan
-    return float(depth[v, u] - z)
+    return float(depth[k, v, u] - z)
 
 
 @njit(cache=True)
-def _farther_each(depth: NDArray[np.float32], camera: Array, points: Array) -> Array:
-    """`_farther_at` of each of the points (n, 3) m."""
+def _farther_each(depth: NDArray[np.float32], cameras: Array, points: Array) -> Array:
+    """`_farther_at` of each of the points (n, 3) m, in the only frame."""
     out = np.empty(len(points))
     for i in range(len(points)):
-        out[i] = _farther_at(depth, camera, points[i, 0], points[i, 1], points[i, 2])
+        out[i] = _farther_at(depth, cameras, 0, points[i, 0], points[i, 1], points[i, 2])
     return out
 
 
 def _farther(points: Array, frame: Frame) -> tuple[Array, Array]:
     """(n,) m each: by how much depth is farther than a point, NaN without; and the tolerance."""
-    farther = _farther_each(frame.depth, _camera(frame), points)
+    farther = _farther_each(frame.depth[None], _camera(frame)[None], points)
     return farther, SAME_M + SAME_SHARE * points[:, 2]
 
 
@@ -267,7 +270,7 @@ def _score(
     total = 0.0
     for i in range(len(points)):
         x, y, z = points[i, 0] + shift[0], points[i, 1] + shift[1], points[i, 2] + shift[2]
-        farther = _farther_at(depth[which[i]], cameras[which[i]], x, y, z)
+        farther = _farther_at(depth, cameras, which[i], x, y, z)
         same = SAME_M + SAME_SHARE * z
         if abs(farther) < same:
             total += 1.0 - (farther / same) ** 2
