@@ -185,7 +185,9 @@ TRIALS: tuple[Column, ...] = (
     Column("t_close_ns", "int", "ns", "close command, or what was taken for it", "trial"),
     Column("close_source", "str", "", "event, manifest, command, joints, width or effort", "trial"),
     Column("closing_source", "str", "",
-           "of the verdict's hand's closing: known (its own), recorded, set or limits", "trial"),
+           "of the verdict's hand's closing: known (its own), recorded, estimates, set or "
+           "limits", "trial"),
+    Column("estimates", "str", "", "SHA-256 of the file given with --estimates", "trial"),
     Column("t_fingers_ns", "int", "ns", "when the fingers are seen to begin to close", "trial"),
     Column("t_decisive_ns", "int", "ns",
            "when it was decided: the push, the close, or a good moment that went by", "trial"),

@@ -17,6 +17,7 @@ Examples:
   dgeval replay apple.mcap --close +3.2 --label failure
   dgeval replay trials.toml --out runs/monday --jobs 4
   dgeval replay night/ --set registration.method=open3d --no-review
+  dgeval replay night/ --out runs/again --estimates runs/night/estimates.json
 """
 
 
@@ -60,6 +61,14 @@ def replay(
     label: Annotated[
         str | None, typer.Option(help="success or failure, as you saw it. Needs exactly one trial.")
     ] = None,
+    estimates: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="estimates.json of another run: how the hand closes, and where it comes to rest "
+            "on nothing, as other trials show it.",
+        ),
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
     review: Annotated[
         bool, typer.Option("--review/--no-review", help="Write a Rerun recording per trial.")
@@ -77,11 +86,13 @@ def replay(
     from dgeval.config import load_config
     from dgeval.errors import UsageError
     from dgeval.recording.manifest import find_trials
+    from dgeval.runs.estimates import read_estimates
     from dgeval.runs.folder import TrialResult, finish_run
     from dgeval.runs.workers import replay_trials
 
     config = load_config(pipeline, tuple(set_ or ()))
     specs = find_trials(paths, config.roles.events)
+    given = None if estimates is None else read_estimates(estimates)
     if (bbox or frames or bbox_time) and len(specs) != 1:
         raise UsageError(
             f"--bbox and --frames need exactly one trial, there are {len(specs)}",
@@ -119,10 +130,11 @@ def replay(
             jobs,
             on_result=_call_both(on_result, bar.trial),
             progress=bar.frame,
+            estimates=given,
         )
     code = finish_run(out, results, config)
     if check_determinism:
-        _check_determinism(specs, config, jobs, results)
+        _check_determinism(specs, config, jobs, results, given)
     if json_:
         print_json(
             {
@@ -170,7 +182,7 @@ def _label(text: str | None) -> dict[str, Any]:
     return {"label": label}
 
 
-def _check_determinism(specs: Any, config: Any, jobs: int, results: Any) -> None:
+def _check_determinism(specs: Any, config: Any, jobs: int, results: Any, estimates: Any) -> None:
     """Replay the trials again into a temporary folder and compare the digests of every stage.
 
     NotDeterministicError where a digest differs.
@@ -192,6 +204,7 @@ def _check_determinism(specs: Any, config: Any, jobs: int, results: Any) -> None
             jobs,
             on_result=lambda _: None,
             hashes=hashes,
+            estimates=estimates,
         )
     for first, second in zip(results, repeated, strict=True):
         if (first.row is None) != (second.row is None):

@@ -11,10 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, minimum_filter
+from scipy.ndimage import minimum_filter
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, transform
@@ -190,11 +191,17 @@ def _away_from_outline(
     gap = GAP_M * frame.camera.fx / far_m / cell
     edge = max(EDGE_PX, EDGE_M * frame.camera.fx / far_m) / cell
     # the points grown together, and what is then farther from the outside than they have grown
-    covered = np.pad(distance_transform_edt(empty) <= gap, 1, constant_values=True)
-    inner = np.asarray(distance_transform_edt(covered)[1:-1, 1:-1] > gap + edge)
+    covered = np.pad(_from_nearest_zero(empty) <= gap, 1, constant_values=True)
+    inner = _from_nearest_zero(covered)[1:-1, 1:-1] > gap + edge
     out = np.zeros(len(u), bool)
     out[inside] = inner[v[inside] // cell, u[inside] // cell]
     return out
+
+
+def _from_nearest_zero(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Of each pixel the distance to the nearest one that is not in the mask, px."""
+    image = mask.astype(np.uint8)
+    return np.asarray(cv2.distanceTransform(image, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
 
 
 def _pixels(

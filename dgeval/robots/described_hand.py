@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import mujoco
 
 FORCE_N = 15.0  # N of a fingertip, as the physics is made; each draw has its own; ours
-LEAST_FORCE_N, MOST_FORCE_N = 3.0, 60.0  # N; grippers on the market; ours
+ANY_FORCE_N = LEAST_FORCE_N, MOST_FORCE_N = 3.0, 60.0  # N; grippers on the market; ours
 # of a finger joint: position error, rad and m, at which its drive gives all its force; ours
 ALL_FORCE_RAD, ALL_FORCE_M = 0.3, 0.010
 KV = 0.05  # s, of a drive's velocity gain against its position gain; as the known hands' drives
@@ -40,14 +40,16 @@ class DescribedHand(Hand):
     """A hand that is known from its description.
 
     without_solids: its solids are capsules, as the description has none. closing_source: where its
-    closing motion is from: the trial itself, the configuration, or the joints' limits. force_n:
-    least and most force of a fingertip, N.
+    closing motion is from: the trial itself, another trial of the hand, the configuration, or the
+    joints' limits. force_n: least and most force of a fingertip, N.
     """
 
     geometry: HandGeometry = field(kw_only=True)
     without_solids: bool = field(kw_only=True)
-    closing_source: Literal["recorded", "set", "limits"] = field(default="limits", kw_only=True)
-    force_n: tuple[float, float] = field(default=(LEAST_FORCE_N, MOST_FORCE_N), kw_only=True)
+    closing_source: Literal["recorded", "estimates", "set", "limits"] = field(
+        default="limits", kw_only=True
+    )
+    force_n: tuple[float, float] = field(default=ANY_FORCE_N, kw_only=True)
 
     @property
     def told(self) -> str:
@@ -56,6 +58,14 @@ class DescribedHand(Hand):
         fingers = "one finger" if count == 1 else f"{count} fingers"
         solids = ", as capsules" if self.without_solids else ""
         return f"{fingers} on {self.geometry.links.base!r}{solids}, by the description alone"
+
+    def force_factors(self, factor: float) -> Array:
+        """(k,) on what each drive gives as the physics is made, of a factor on the force of the
+        fingertips: none gives more than its description says.
+        """
+        usual = FORCE_N * self.geometry.levers
+        efforts = [joint.effort for joint in self.geometry.joints]
+        return np.asarray(np.minimum(factor * usual, efforts) / np.minimum(usual, efforts))
 
     def link_of(self, solid: str) -> str:
         """The link of one of its solids, by the solid's name, as `add_hand` gives it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -44,6 +45,29 @@ class HandGeometry:
     @cached_property
     def names(self) -> tuple[str, ...]:
         return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper (k,) rad or m, of the joints; infinite without."""
+        return np.array([j.lower for j in self.joints]), np.array([j.upper for j in self.joints])
+
+    @cached_property
+    def spans(self) -> Array:
+        """(k,) rad or m, the ranges of the joints; 1 where there are no limits."""
+        lower, upper = self.limits
+        return np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+
+    @cached_property
+    def key(self) -> str:
+        """Of the fingers' joints: which they are, where, their axes and limits. Other trials of the
+        same hand have the same.
+        """
+        digest = hashlib.sha256()
+        for joint in self.joints:
+            numbers = [*joint.origin.ravel(), *joint.axis, joint.lower, joint.upper]
+            rounded = ",".join(f"{v + 0.0:.5f}" for v in np.round(numbers, 5).tolist())
+            digest.update(f"{joint.name} {joint.kind} {rounded}\n".encode())
+        return digest.hexdigest()[:16]
 
     def poses(self, positions: Array) -> dict[str, Array]:
         """By link, T_base_link (4, 4)."""
@@ -190,6 +214,11 @@ class HandGeometry:
         away = middle - self.palm
         length = float(np.linalg.norm(away))
         return np.asarray(middle - away / max(length, 1e-9) * min(BEHIND_TIPS_M, length))
+
+    @cached_property
+    def levers(self) -> Array:
+        """(k,) of the joints."""
+        return np.array([self.lever(joint) for joint in self.joints])
 
     def lever(self, joint: Joint) -> float:
         """m, from a joint's axis to its finger's tip; 1 for one that slides, whose force it is."""

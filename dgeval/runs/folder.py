@@ -14,6 +14,8 @@ from dgeval import __version__
 from dgeval.config import Config
 from dgeval.determinism import fingerprint
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE
+from dgeval.runs.estimates import FILE as ESTIMATES
+from dgeval.runs.estimates import estimates_of
 from dgeval.runs.files import file_name, write_atomically, write_table
 from dgeval.schema import (
     SCHEMA_VERSION,
@@ -29,7 +31,7 @@ class TrialResult:
 
     row: of the trial table; None where the trial failed. sha256: of the recording; None where the
     trial failed. resumed: kept from an earlier run. review: sizes of the review recording, bytes.
-    traceback: of an internal error.
+    traceback: of an internal error. shown: what the trial shows of its hand, for others.
     """
 
     id: str
@@ -40,10 +42,13 @@ class TrialResult:
     resumed: bool = False
     review: dict[str, int] | None = None
     traceback: str | None = None
+    shown: dict[str, Any] | None = None
 
 
 def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
-    """Join the tables of the trials, write log.jsonl and run.json; return the run's exit code."""
+    """Join the tables of the trials, write estimates.json where there are any, log.jsonl and
+    run.json; return the run's exit code.
+    """
     out.mkdir(parents=True, exist_ok=True)
     done = sorted((r for r in results if r.row is not None), key=lambda r: r.id)
     rows = [r.row for r in done if r.row is not None]
@@ -52,6 +57,11 @@ def finish_run(out: Path, results: list[TrialResult], config: Config) -> int:
     write_table(
         out / "timings.parquet", pa.concat_tables(timings) if timings else arrow_table(TIMINGS, [])
     )
+    estimates = estimates_of((r.id, r.shown) for r in done if r.shown is not None)
+    if estimates is None:
+        (out / ESTIMATES).unlink(missing_ok=True)
+    else:
+        write_atomically(out / ESTIMATES, estimates)
     lines = []
     for r in sorted(results, key=lambda r: r.id):
         lines += [

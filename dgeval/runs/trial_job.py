@@ -30,6 +30,7 @@ from dgeval.replay.causal import Step, replay
 from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
 from dgeval.replay.row import pose_columns
 from dgeval.replay.target_search import FoundTarget, search_target
+from dgeval.runs.estimates import shown_as_json
 from dgeval.runs.files import TableFile, file_name, write_atomically, write_ply, write_table
 from dgeval.runs.folder import TrialResult
 from dgeval.runs.target_told import (
@@ -49,6 +50,7 @@ from dgeval.schema import (
     StageDigests,
     arrow_table,
 )
+from dgeval.verdict.estimates import Estimates
 from dgeval.verdict.judge import Judgement, judge
 from dgeval.verdict.log import log_of
 from dgeval.verdict.picture import decisive_picture
@@ -59,14 +61,18 @@ MAX_RECENT = 400  # compressed images kept, of which one becomes the picture of 
 ReviewFactory = Callable[[Path, Trial, ReviewConfig], Any]
 
 
-def resume_key(spec: TrialSpec, config: Config, sha256: str) -> str:
+def resume_key(
+    spec: TrialSpec, config: Config, sha256: str, estimates: Estimates | None = None
+) -> str:
     """SHA-256 of all that a trial's result depends on, to tell whether it can be kept.
 
     The recording's content is part of it; its folder and name are not.
     """
     about = {k: v for k, v in asdict(spec).items() if k not in ("recording", "parts")}
+    given = [] if estimates is None else [estimates.sha256]
     text = json.dumps(
-        [__version__, SCHEMA_VERSION, config.model_dump(mode="json"), about, sha256], sort_keys=True
+        [__version__, SCHEMA_VERSION, config.model_dump(mode="json"), about, sha256, *given],
+        sort_keys=True,
     )
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -79,18 +85,20 @@ def replay_trial(
     force: bool,
     progress: Callable[[int, int], None] | None = None,
     sha256: str | None = None,
+    estimates: Estimates | None = None,
 ) -> TrialResult:
     """Replay one trial into the run folder; the commit mark `trials/<trial>.json` is written last.
 
     review: None writes no review recording. force: replay also what is finished. progress(done,
     total): called after each frame. sha256: of the recording where it is known already.
+    estimates: what other trials show of the hand.
 
     Errors become messages with an exit code. The traceback of an internal error goes into the
     run's log.
     """
     limit_threads()
     try:
-        return _replay_trial(spec, config, out, review, force, progress, sha256)
+        return _replay_trial(spec, config, out, review, force, progress, sha256, estimates)
     except DgevalError as error:
         return TrialResult(spec.id, None, error.exit_code, [str(error)], None)
     except Exception as error:  # the boundary of a trial: one must not take the others down
@@ -112,9 +120,10 @@ def _replay_trial(
     force: bool,
     progress: Callable[[int, int], None] | None,
     sha256: str | None,
+    estimates: Estimates | None,
 ) -> TrialResult:
     trial = open_trial(spec, config, sha256)
-    key = resume_key(spec, config, trial.sha256)
+    key = resume_key(spec, config, trial.sha256, estimates)
     name = file_name(spec.id)
     mark = out / "trials" / f"{name}.json"
     if not force:
@@ -128,6 +137,7 @@ def _replay_trial(
                 trial.sha256,
                 True,
                 kept["review"],
+                shown=kept["shown"],
             )
     mark.unlink(missing_ok=True)
     for folder in ("frames", "models", "review", "trials"):
@@ -191,7 +201,8 @@ def _replay_trial(
         start = time.perf_counter()
         hindsight = look_back(trial, observed, surface, perception, config)
         hindsight_done = time.perf_counter()
-        judgement = judge(log_of(trial), hindsight, config.verdict, config.seed)
+        elsewhere = None if estimates is None else estimates.of(trial.robot.hand_found)
+        judgement = judge(log_of(trial, elsewhere), hindsight, config.verdict, config.seed)
         for stage, seconds in (
             ("hindsight", hindsight_done - start),
             ("verdict", time.perf_counter() - hindsight_done),
@@ -218,14 +229,18 @@ def _replay_trial(
         trial, config, counts, t_execute_ns, last_ns, judgement, target, seen
     )
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
-    write_atomically(
-        mark,
-        json.dumps(
-            {"key": key, "row": row, "exit_code": exit_code, "messages": messages, "review": sizes},
-            indent=1,
-        ),
-    )
-    return TrialResult(spec.id, row, exit_code, messages, trial.sha256, review=sizes)
+    row["estimates"] = None if estimates is None else estimates.sha256
+    shown = None if judgement.shown is None else shown_as_json(judgement.shown)
+    kept = {
+        "key": key,
+        "row": row,
+        "exit_code": exit_code,
+        "messages": messages,
+        "review": sizes,
+        "shown": shown,
+    }
+    write_atomically(mark, json.dumps(kept, indent=1))
+    return TrialResult(spec.id, row, exit_code, messages, trial.sha256, review=sizes, shown=shown)
 
 
 def trial_row(
@@ -371,4 +386,5 @@ def _committed(mark: Path, key: str, out: Path, name: str, review: bool) -> dict
     needed = [out / "frames" / f"{name}.parquet", out / "trials" / f"{name}.timings.parquet"]
     if review:
         needed.append(out / "review" / f"{name}.rrd")
-    return kept if kept.get("key") == key and all(p.is_file() for p in needed) else None
+    is_whole = kept.get("key") == key and "shown" in kept
+    return kept if is_whole and all(p.is_file() for p in needed) else None

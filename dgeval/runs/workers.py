@@ -17,6 +17,7 @@ from dgeval.errors import EXIT_INTERNAL
 from dgeval.recording.manifest import TrialSpec
 from dgeval.runs.folder import TrialResult
 from dgeval.runs.trial_job import ReviewFactory, replay_trial
+from dgeval.verdict.estimates import Estimates
 
 
 def replay_trials(
@@ -29,17 +30,19 @@ def replay_trials(
     on_result: Callable[[TrialResult], None],
     progress: Callable[[int, int], None] | None = None,
     hashes: Mapping[str, str] | None = None,
+    estimates: Estimates | None = None,
 ) -> list[TrialResult]:
     """Replay every trial; results in the order of `specs`. With one job it happens in this process.
 
-    hashes: SHA-256 of the recording by trial, where the caller computed them already.
+    hashes: SHA-256 of the recording by trial, where the caller computed them already. estimates:
+    what trials of another run show of the hands.
     """
     known = hashes or {}
     results: dict[str, TrialResult] = {}
     if jobs == 1 or len(specs) == 1:
         for spec in specs:
             results[spec.id] = replay_trial(
-                spec, config, out, review, force, progress, known.get(spec.id)
+                spec, config, out, review, force, progress, known.get(spec.id), estimates
             )
             on_result(results[spec.id])
         return [results[s.id] for s in specs]
@@ -49,7 +52,15 @@ def replay_trials(
     ) as pool:
         waiting = {
             pool.submit(
-                replay_trial, spec, config, out, review, force, None, known.get(spec.id)
+                replay_trial,
+                spec,
+                config,
+                out,
+                review,
+                force,
+                None,
+                known.get(spec.id),
+                estimates,
             ): spec
             for spec in specs
         }

@@ -2,12 +2,16 @@
 
 Nobody says what a grip looks like in the states of a hand that dgeval does not know. Two signs need
 no other trial: fingers that closed as far as they go have nothing between them, and a finger that
-holds something presses harder than it did on its way.
+holds something presses harder than it did on its way. Without efforts other trials may say where
+this hand comes to rest when it closes on nothing.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from dgeval.geometry import Array
 from dgeval.recording.messages import JointSample
@@ -27,13 +31,26 @@ FREE = (
 LEAST_SAMPLES = 5
 
 
-def described_grip(
-    hand: DescribedHand, samples: list[JointSample], close_ns: int, end: list[JointSample]
-) -> tuple[bool, str] | None:
-    """Whether the hand holds something at the end, and why; None where its fingers don't tell.
+@dataclass(frozen=True)
+class _Closed:
+    """A hand that has closed: by its joints (k,), rad or m, where they were before the close, how
+    far they came, where they rest at the end; and which of them closed.
 
-    samples: the trial's joint states in time order; end: those of its end.
+    way, last: positions and efforts (n, k) after the close, and at the end.
     """
+
+    start: Array
+    reached: Array
+    rest: Array
+    closed: NDArray[np.bool_]
+    way: tuple[Array, Array]
+    last: tuple[Array, Array]
+
+
+def _closed(
+    hand: DescribedHand, samples: list[JointSample], close_ns: int, end: list[JointSample]
+) -> _Closed | None:
+    """None where the states don't show a close, or the hand has opened again."""
     before = _of([s for s in samples if close_ns - BEFORE_S * 1e9 <= s.t_ns <= close_ns], hand)
     way = _of([s for s in samples if close_ns < s.t_ns <= close_ns + CLOSING_S * 1e9], hand)
     last = _of(end, hand)
@@ -41,15 +58,44 @@ def described_grip(
         return None
     start, rest = (np.nanmedian(x[0], axis=0) for x in (before, last))
     reached = _farthest(way[0], start)
-    joints = hand.geometry.joints
-    lower = np.array([joint.lower for joint in joints])
-    upper = np.array([joint.upper for joint in joints])
-    span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+    span = hand.geometry.spans
     closed = np.abs(reached - start) > MOVED * span
     if not closed.any():
         return None
     if (np.abs(rest - start) < MOVED * span)[closed].all():
         return None  # the hand has opened again
+    return _Closed(start, reached, rest, closed, way, last)
+
+
+def rest_of_closed(
+    hand: DescribedHand, samples: list[JointSample], close_ns: int, end: list[JointSample]
+) -> Array | None:
+    """(k,) rad or m, where the joints of a hand that has closed rest at the end; None as in
+    `described_grip`, which has the same arguments.
+    """
+    found = _closed(hand, samples, close_ns, end)
+    return None if found is None or np.isnan(found.rest).any() else found.rest
+
+
+def described_grip(
+    hand: DescribedHand,
+    samples: list[JointSample],
+    close_ns: int,
+    end: list[JointSample],
+    empty: Array | None = None,
+) -> tuple[bool, str] | None:
+    """Whether the hand holds something at the end, and why; None where its fingers don't tell.
+
+    samples: the trial's joint states in time order; end: those of its end. empty (k,) rad or m:
+    where its joints rest when it has closed on nothing, as other trials show it.
+    """
+    found = _closed(hand, samples, close_ns, end)
+    if found is None:
+        return None
+    start, reached, rest, closed = found.start, found.reached, found.rest, found.closed
+    joints = hand.geometry.joints
+    lower, upper = hand.geometry.limits
+    span = hand.geometry.spans
     limit = np.where(reached > start, upper, lower)
     ends = hand.geometry.closed
     # what was pushed shut before the close opens a little at it
@@ -57,26 +103,38 @@ def described_grip(
     at_limit = np.abs(rest - limit) < AT_LIMIT * span
     if at_limit[closed].all():
         return False, "the fingers have closed as far as they go, with nothing between them"
+    # jaws that one drive moves show its effort at one of them
+    drives = {joint.follows for k, joint in enumerate(joints) if closed[k]}
+    two = min(2, len(drives))
     # before the close the fingers may already push something: the way there tells their zero
     half_ns = (samples[0].t_ns + close_ns) // 2
     earlier = _of([s for s in samples if s.t_ns <= half_ns], hand)
-    pressing = _drives_press(earlier, way, last)
+    pressing = _drives_press(earlier, found.way, found.last)
     if pressing is None:
+        if empty is None:
+            return None
+        short = closed & (np.sign(reached - start) * (empty - rest) > AT_LIMIT * span)
+        count = _fingers(hand, short)
+        if count >= two:
+            who = "a finger stops" if count == 1 else f"{count} fingers stop"
+            return True, f"{who} short of where this hand closes on nothing in other trials"
+        if not short.any():
+            return False, "the fingers have closed as far as in other trials with nothing in them"
         return None
     presses = closed & ~at_limit & pressing
-    fingers = [
-        finger
-        for finger in hand.geometry.links.fingers
-        if any(presses[k] and joint.child in finger for k, joint in enumerate(joints))
-    ]
-    # jaws that one drive moves show its effort at one of them
-    drives = {joint.follows for k, joint in enumerate(joints) if closed[k]}
-    if len(fingers) >= min(2, len(drives)):
-        who = "a finger presses" if len(fingers) == 1 else f"{len(fingers)} fingers press"
+    count = _fingers(hand, presses)
+    if count >= two:
+        who = "a finger presses" if count == 1 else f"{count} fingers press"
         return True, f"{who} harder at the end than on the way"
     if not presses.any():
         return False, "no finger presses at the end"
     return None
+
+
+def _fingers(hand: DescribedHand, of_joints: NDArray[np.bool_]) -> int:
+    """How many fingers have one of these joints (k,)."""
+    links = [joint.child for k, joint in enumerate(hand.geometry.joints) if of_joints[k]]
+    return sum(any(link in finger for link in links) for finger in hand.geometry.links.fingers)
 
 
 def _of(samples: list[JointSample], hand: DescribedHand) -> tuple[Array, Array]:

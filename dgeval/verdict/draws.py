@@ -6,6 +6,8 @@ macro-F1 0.81 and geometry 0.42 (`benchmarks/results/verdict.md`), so the twin i
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from dgeval.determinism import generator
@@ -22,6 +24,7 @@ from dgeval.verdict.decide import (
 )
 from dgeval.verdict.evidence import Scene
 from dgeval.verdict.geometric import geometric_draw
+from dgeval.verdict.recorded_closing import slowed
 from dgeval.verdict.twin import Twin
 from dgeval.worlds.hand_and_object import UnstableError
 from dgeval.worlds.shape import solid_from_cloud
@@ -43,6 +46,7 @@ BLIND_DESCRIBED = 0.25
 # m of hand and object into each other in closing, beyond which a force that is not known was too
 # large: 60 N of a 2F-85 press 5 mm into an apple, 15 N 1.3 mm
 PRESSED_M = 0.002
+SD_CLOSE = 0.4  # of the logarithm of a close's time that no trial shows; ours
 SD_FRICTION, SD_MASS = 0.15, 0.7  # of logarithms; household objects have 70 to 900 kg/m^3
 
 
@@ -99,12 +103,13 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
             dx, dy, turn, friction, mass = 0.0, 0.0, 0.0, 1.0, 1.0
         offset = (float(dx), float(dy), float(turn))
         force = _force(scene.gripper, rng, k)
+        drawn = _pace(scene, rng, k)
         try:
-            twin = Twin(scene, solid, offset, float(friction), float(mass), force)
+            twin = Twin(drawn, solid, offset, float(friction), float(mass), force)
             reproduced = twin.approach()
             while described and twin.pressed > PRESSED_M and force > LEAST_FORCE_N / FORCE_N:
                 force, softened = 0.5 * force, softened + 1
-                twin = Twin(scene, solid, offset, float(friction), float(mass), force)
+                twin = Twin(drawn, solid, offset, float(friction), float(mass), force)
                 reproduced = twin.approach()
         except UnstableError:
             continue
@@ -130,9 +135,22 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
     return Draws(tuple(asked), share, "twin", blind, softened)
 
 
+def _pace(scene: Scene, rng: np.random.Generator, k: int) -> Scene:
+    """The scene of a draw whose hand closes faster or slower, where no trial shows how it closes:
+    what is set, or the way to the limits, is no more than a guess of its time.
+    """
+    hand = scene.gripper
+    if not isinstance(hand, DescribedHand) or hand.closing_source not in ("set", "limits"):
+        return scene
+    factor = float(np.exp(rng.normal(0, SD_CLOSE)))
+    return scene if k == 0 else replace(scene, gripper=slowed(hand, factor))
+
+
 def _force(gripper: Hand, rng: np.random.Generator, k: int) -> float:
     """Factor on the drives' forces of a draw, log-uniform, of a hand whose force is not known."""
-    if not isinstance(gripper, DescribedHand) or k == 0:
+    if not isinstance(gripper, DescribedHand):
         return 1.0
-    least, most = np.log(np.array(gripper.force_n) / FORCE_N)
-    return float(np.exp(rng.uniform(least, most)))
+    least, most = np.array(gripper.force_n) / FORCE_N
+    if k == 0:
+        return float(np.clip(1.0, least, most))
+    return float(np.exp(rng.uniform(*np.log([least, most]))))

@@ -5,7 +5,7 @@ Nothing here reads the truth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ from dgeval.robots.described_hand import DescribedHand
 from dgeval.robots.hand import Hand
 from dgeval.verdict.beliefs import Beliefs, beliefs_of
 from dgeval.verdict.log import Recorded, TrialLog
-from dgeval.verdict.recorded_closing import LONGEST_S, moved_as_recorded
+from dgeval.verdict.recorded_closing import LONGEST_S, Closing, closing_as, recorded_closing
+from dgeval.verdict.recorded_force import recorded_force
 from dgeval.verdict.recorded_lift import LOOK_S, recorded_lift
 from dgeval.worlds.closing import CONTROL_S, Finish
 
@@ -64,7 +65,8 @@ class Scene:
     came. last_seen: tick at which the undisturbed object was last seen. close: tick of the close
     command. seen (n, 4, 4): by tick, the motion from the reference to where the object was seen,
     NaN where it was not. gripper: the recorded hand. beliefs: the robot's at the reference. held: a
-    person holds the object in the air and lets go when it is gripped.
+    person holds the object in the air and lets go when it is gripped. closing: of a described hand,
+    as recorded.
     """
 
     hand: HandMotion
@@ -79,6 +81,7 @@ class Scene:
     gripper: Hand
     beliefs: Beliefs | Unknown
     held: bool = False
+    closing: Closing | None = None
 
     def unseen_s(self, tick: int) -> float:
         """Time at a tick since the undisturbed object was last seen, s; 0 before."""
@@ -161,9 +164,17 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
             break
         closing.append(row)
     way = np.array(closing, dtype=float).reshape(-1, len(drives))
+    closed = None
     if isinstance(gripper, DescribedHand):
         near = transform(invert(poses[-1]), points)
-        gripper = moved_as_recorded(gripper, np.array(fingers[-1], dtype=float), way, near)
+        closed = recorded_closing(gripper, np.array(fingers[-1], dtype=float), way, near)
+        if closed is not None:
+            gripper = closing_as(gripper, closed, "recorded")
+        elif log.elsewhere.closing is not None:
+            gripper = closing_as(gripper, log.elsewhere.closing, "estimates")
+        if close_ns is not None:
+            force = recorded_force(gripper, list(log.hand_samples), close_ns, log.last_ns)
+            gripper = replace(gripper, force_n=force or gripper.force_n)
         way = way[: round(gripper.lift_after_s / CONTROL_S)]
     hand = HandMotion(
         np.array(kept, dtype=np.int64),
@@ -188,6 +199,7 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
         gripper,
         beliefs if isinstance(beliefs, Unknown) else beliefs.moved(T_support_base),
         held,
+        closed,
     )
 
 

@@ -11,9 +11,10 @@ from typing import Any
 from dgeval.config import VerdictConfig
 from dgeval.failure_rule import Outcome, OutcomeSource, Unknown
 from dgeval.hindsight.second_pass import Hindsight
-from dgeval.robots.described_hand import DescribedHand
+from dgeval.robots.described_hand import ANY_FORCE_N, DescribedHand
 from dgeval.verdict.decide import Blame, Decision, blame_of, undecided
 from dgeval.verdict.draws import PRESSED_M, decide_scene
+from dgeval.verdict.estimates import HandShown, hand_shown
 from dgeval.verdict.evidence import Scene, scene_of
 from dgeval.verdict.log import TrialLog
 from dgeval.verdict.outcome import outcome_of
@@ -22,7 +23,12 @@ from dgeval.verdict.sentence import Times, sentence
 
 LONG_UNSEEN_S = 0.5  # over which a place that was last seen then is no longer known to 2 or 3 mm
 # a described hand's `closing_source` -> how it closes, for a person
-CLOSING = {"recorded": "as it closed here", "set": "as set", "limits": "to its limits"}
+CLOSING = {
+    "recorded": "as it closed here",
+    "estimates": "as in another trial",
+    "set": "as set",
+    "limits": "to its limits",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +55,16 @@ class VerdictRow:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdict as a row, and what the review draws: decisive moment ns, pushing link."""
+    """The verdict as a row, and what the review draws: decisive moment ns, pushing link.
+
+    shown: what the trial shows of its hand, for others.
+    """
 
     row: VerdictRow
     decisive_ns: int | None
     link: str | None
     notes: tuple[str, ...] = ()
+    shown: HandShown | None = None
 
 
 def judge(
@@ -76,14 +86,16 @@ def judge(
             row = replace(row, speed_measured=speed)
         notes += hindsight.notes
     if ended.outcome != "failure":
-        return Judgement(row, close_ns, None, tuple(notes))
+        shown = hand_shown(log, hindsight, ended, None)
+        return Judgement(row, close_ns, None, tuple(notes), shown)
     answered = _decision(log, hindsight, config, seed)
     if isinstance(answered, Unknown) or hindsight is None:
         assert isinstance(answered, Unknown)
         evidence = f"{ended.evidence}; the cause is unknown: {answered.reason}"
         columns = class_columns(undecided(answered.reason, config.method))
         row = replace(row, evidence=evidence, **columns)
-        return Judgement(row, close_ns, None, tuple(notes))
+        shown = hand_shown(log, hindsight, ended, None)
+        return Judgement(row, close_ns, None, tuple(notes), shown)
     scene, decision = answered
     pushed_ns = hindsight.pushed_ns or hindsight.contact_ns
     times = Times(log.first_ns, log.last_ns, close_ns, pushed_ns)
@@ -100,7 +112,8 @@ def judge(
         **class_columns(decision),
     )
     notes += notes_of(scene, decision, blame)
-    return Judgement(row, decisive_ns(decision, times), link, tuple(notes))
+    shown = hand_shown(log, hindsight, ended, scene)
+    return Judgement(row, decisive_ns(decision, times), link, tuple(notes), shown)
 
 
 def _decision(
@@ -152,7 +165,7 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
         closing = CLOSING[hand.closing_source]
         notes.append(
             f"verdict: the hand is {hand.told}; it closes {closing}, with {least:.0f} to "
-            f"{most:.0f} N at a fingertip"
+            f"{most:.0f} N at a fingertip{'' if hand.force_n == ANY_FORCE_N else ', by its efforts'}"
         )
     unseen_s = scene.unseen_s(scene.reference)
     if scene.close is not None and unseen_s > LONG_UNSEEN_S:

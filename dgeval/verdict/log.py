@@ -23,6 +23,7 @@ from dgeval.recording.contract import (
 from dgeval.recording.messages import JointSample, StampedPose, cloud_points
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.trials import Trial
+from dgeval.verdict.recorded_closing import Closing
 
 MIN_MODEL_POINTS = 20  # fewer points of the robot's own model say nothing of where the object is
 
@@ -46,6 +47,20 @@ class Recorded:
 
 
 @dataclass(frozen=True)
+class HandEstimate:
+    """What other trials show of this trial's hand, by its joints (k,), rad or m.
+
+    closing: how it closes. empty (k,): where it comes to rest with nothing between its fingers.
+    """
+
+    closing: Closing | None = None
+    empty: Array | None = None
+
+
+NOTHING_ELSEWHERE = HandEstimate()
+
+
+@dataclass(frozen=True)
 class TrialLog:
     """One trial as a verdict sees it.
 
@@ -54,7 +69,7 @@ class TrialLog:
     there was none. label: an operator's, success or failure. damaged: not all of the recording can
     be read, or a part of it is not there. hand_samples: joint states that hold the fingers, in
     their own clock. max_gap_ns: longest gap in joint states that is interpolated. servo_gain: 1/s,
-    of the robot's position servo, as configured.
+    of the robot's position servo, as configured. elsewhere: what other trials show of the hand.
     """
 
     first_ns: int
@@ -69,6 +84,7 @@ class TrialLog:
     max_gap_ns: int
     servo_gain: float
     recorded: Recorded
+    elsewhere: HandEstimate = NOTHING_ELSEWHERE
 
     @property
     def end_ns(self) -> int:
@@ -76,9 +92,9 @@ class TrialLog:
         return self.last_ns if self.close_ns is None else self.close_ns
 
 
-def log_of(trial: Trial) -> TrialLog:
+def log_of(trial: Trial, elsewhere: HandEstimate | None = None) -> TrialLog:
     """What a verdict reads of a trial. Call it after the last pass over the images: reading them
-    finds damage.
+    finds damage. elsewhere: what other trials show of its hand.
     """
     label = trial.spec.label or trial.events.label()
     scan = trial.scan
@@ -105,6 +121,7 @@ def log_of(trial: Trial) -> TrialLog:
             tuple(scan.twists.get(COMMAND_TOPIC, [])),
             lambda t_ns: _model(trial.opened, t_ns),
         ),
+        elsewhere or NOTHING_ELSEWHERE,
     )
 
 

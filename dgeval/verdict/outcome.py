@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgeval.failure_rule import Outcome, OutcomeSource, Unknown, outcome_without_close
-from dgeval.geometry import transform
+from dgeval.geometry import Array, transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
+from dgeval.recording.messages import JointSample
 from dgeval.recording.robot import RobotStates
 from dgeval.robots.described_hand import DescribedHand
 from dgeval.robots.hand import Grip, Hand, hands
-from dgeval.verdict.described_grip import described_grip
+from dgeval.verdict.described_grip import described_grip, rest_of_closed
 from dgeval.verdict.log import TrialLog
 
 AFTER_S = 1.0  # s after the close, from which fingers at rest tell what they hold; ours
@@ -36,12 +37,15 @@ LEFT_BEHIND_M, CARRIED_M = 0.05, 0.05
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """Outcome with its source and, in words, why; `p_success` where it was inferred."""
+    """Outcome with its source and, in words, why; `p_success` where it was inferred. by_fingers:
+    nothing else tells it.
+    """
 
     outcome: Outcome
     source: OutcomeSource | None
     evidence: str
     p_success: float | None = None
+    by_fingers: bool = False
 
 
 def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
@@ -67,9 +71,7 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
         if log.close_missing is not None:
             return Ended("unknown", None, log.close_missing)
         return _without_close(log, hindsight)
-    end_ns = max(log.last_ns, log.limit_ns or 0)
-    joints = [s.t_ns for s in log.hand_samples if s.t_ns <= end_ns]
-    last_ns = max([log.last_ns, *joints[-1:]])
+    last_ns = _last_ns(log)
     if (last_ns - close_ns) * 1e-9 < AFTER_S:
         return Ended(
             "unknown",
@@ -100,8 +102,35 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
         else P_SEEN
     )
     return Ended(
-        "success" if held else "failure", "inferred", reasons, confident if held else 1 - confident
+        "success" if held else "failure",
+        "inferred",
+        reasons,
+        confident if held else 1 - confident,
+        seen is None,
     )
+
+
+def _last_ns(log: TrialLog) -> int:
+    """When the trial ends, by its images and its joint states."""
+    end_ns = max(log.last_ns, log.limit_ns or 0)
+    joints = [s.t_ns for s in log.hand_samples if s.t_ns <= end_ns]
+    return max([log.last_ns, *joints[-1:]])
+
+
+def empty_fingers(log: TrialLog, hand: DescribedHand, ended: Ended) -> Array | None:
+    """(k,) rad or m, where the joints rest at the end of a trial that failed by an operator's word
+    or a sighting; None where neither says so, or they don't rest closed.
+    """
+    if ended.outcome != "failure" or ended.by_fingers or log.close_ns is None or _is_stuck(log):
+        return None
+    last_ns = _last_ns(log)
+    end = _at_the_end(log, last_ns)
+    return rest_of_closed(hand, list(log.hand_samples), log.close_ns, end)
+
+
+def _at_the_end(log: TrialLog, last_ns: int) -> list[JointSample]:
+    first_ns = last_ns - round(LAST_S * 1e9)
+    return [s for s in log.hand_samples if first_ns <= s.t_ns <= last_ns]
 
 
 def _without_close(log: TrialLog, hindsight: Hindsight | None) -> Ended:
@@ -122,8 +151,7 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
 
     Names of joints tell the hand only where no description says more.
     """
-    first_ns = last_ns - round(LAST_S * 1e9)
-    samples = [s for s in log.hand_samples if first_ns <= s.t_ns <= last_ns]
+    samples = _at_the_end(log, last_ns)
     if _is_stuck(log):
         return None
     described = log.robot.description is not None
@@ -131,7 +159,8 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
     if described:
         geometry = log.robot.hand_by_description
         if isinstance(geometry, DescribedHand) and log.close_ns is not None:
-            shown = described_grip(geometry, list(log.hand_samples), log.close_ns, samples)
+            empty = log.elsewhere.empty
+            shown = described_grip(geometry, list(log.hand_samples), log.close_ns, samples, empty)
         if isinstance(log.robot.hand, DescribedHand):
             return shown
     known: tuple[Hand, ...] = hands()

@@ -6,8 +6,10 @@ that was commanded is no limit. One that something may have stopped goes on at i
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,22 +27,40 @@ BESIDE_M = 0.010  # m; a finger so near to the object may have been stopped; our
 LEAST_MOVED = 0.02  # share of a joint's range, or rad and m, by which it moves if it closes at all
 
 
-def moved_as_recorded(
+@dataclass(frozen=True)
+class Closing:
+    """How a hand closes with nothing in its way, by its joints (k,), rad or m.
+
+    before (k,): at the close command. way (m, k): at the control periods after it. speeds (k,): per
+    control period, with which a joint that something may have stopped goes on after the way.
+    """
+
+    before: Array
+    way: Array
+    speeds: Array
+
+    @property
+    def lasts_s(self) -> float:
+        """From the command to rest, s."""
+        return len(self.way) * CONTROL_S
+
+
+def recorded_closing(
     hand: DescribedHand, before: Array, path: Array, points: Array
-) -> DescribedHand:
-    """The hand with the closing motion that was recorded.
+) -> Closing | None:
+    """The closing motion that was recorded; None where the hand did not move.
 
     before (k,): its joints at the close command. path (m, k): at the control periods after it, rad
     or m, as far as recorded. points (n, 3) m: the object at the close, which may stop a finger, in
-    its base frame. The hand as it is, with the limits' motion, where it did not move.
+    its base frame.
     """
     if len(path) < REST_TICKS:
-        return hand
+        return None
     steps = np.abs(np.diff(np.vstack([before, path]), axis=0))
     fastest = steps.max(axis=0)
-    moved = np.abs(path[-1] - before) > LEAST_MOVED * _range(hand)
+    moved = np.abs(path[-1] - before) > LEAST_MOVED * hand.geometry.spans
     if not moved.any():
-        return hand
+        return None
     is_moving = (steps > MOVING * np.maximum(fastest, 1e-9))[:, moved].any(axis=1)
     last = int(np.flatnonzero(is_moving)[-1]) + 1  # periods from the command to rest
     rest = path[min(last, len(path)) - 1]
@@ -56,26 +76,28 @@ def moved_as_recorded(
         later = np.arange(1, last - until + 1)
         way[until:, k] = path[until - 1, k] + speed * later
         speeds[k] = speed
-    lower = np.array([joint.lower for joint in hand.geometry.joints])
-    upper = np.array([joint.upper for joint in hand.geometry.joints])
-    geometry = replace(hand.geometry, open=before)
-    end = np.clip(way[-1] + speeds * LONGEST_S / CONTROL_S, lower, upper)
-    lasts_s = last * CONTROL_S
+    return Closing(before, np.clip(way, *hand.geometry.limits), speeds)
+
+
+def closing_as(
+    hand: DescribedHand, closing: Closing, source: Literal["recorded", "estimates"]
+) -> DescribedHand:
+    """The hand with that closing motion, of this trial (`recorded`) or of another one."""
+    lower, upper = hand.geometry.limits
+    # the fingers before this trial's own close are its own
+    opened = closing.before if source == "recorded" else hand.geometry.open
+    geometry = replace(hand.geometry, open=opened)
+    end = closing.way[-1] + closing.speeds * LONGEST_S / CONTROL_S + opened - closing.before
+    end = np.clip(end, lower, upper)
     return replace(
         hand,
         geometry=geometry,
-        centre=geometry.meeting(np.where(np.isfinite(end), end, way[-1])),
-        close_s=lasts_s,
-        lift_after_s=lasts_s + SETTLE_S,
-        targets=partial(_along, before, np.clip(way, lower, upper), speeds, lower, upper),
-        closing_source="recorded",
+        centre=geometry.meeting(np.where(np.isfinite(end), end, closing.way[-1])),
+        close_s=closing.lasts_s,
+        lift_after_s=closing.lasts_s + SETTLE_S,
+        targets=partial(_along, closing, lower, upper),
+        closing_source=source,
     )
-
-
-def _range(hand: DescribedHand) -> Array:
-    """(k,) rad or m, of the joints; 1 where there are no limits."""
-    span = np.array([joint.upper - joint.lower for joint in hand.geometry.joints])
-    return np.where(np.isfinite(span), span, 1.0)
 
 
 def _may_be_stopped(hand: DescribedHand, rest: Array, points: Array) -> NDArray[np.bool_]:
@@ -92,16 +114,27 @@ def _may_be_stopped(hand: DescribedHand, rest: Array, points: Array) -> NDArray[
     return np.array([beside[finger] for finger in of])
 
 
+def slowed(hand: DescribedHand, factor: float) -> DescribedHand:
+    """The hand whose whole closing motion takes `factor` times as long."""
+    return replace(
+        hand,
+        close_s=factor * hand.close_s,
+        lift_after_s=max(hand.lift_after_s, factor * hand.close_s),
+        targets=partial(_at_pace, hand.targets, factor),
+    )
+
+
+def _at_pace(
+    targets: Callable[[float, Array], Array], factor: float, since_close: float, preshape: Array
+) -> Array:
+    return targets(since_close / factor, preshape)
+
+
 def _along(
-    before: Array,
-    way: Array,
-    speeds: Array,
-    lower: Array,
-    upper: Array,
-    since_close: float,
-    preshape: Array,
+    closing: Closing, lower: Array, upper: Array, since_close: float, preshape: Array
 ) -> Array:
     """Targets (k,) of the drives a time, s, after the close command, from where they were."""
+    before, way, speeds = closing.before, closing.way, closing.speeds
     tick = since_close / CONTROL_S
     k = int(tick)
     if k >= len(way):

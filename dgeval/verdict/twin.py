@@ -15,6 +15,7 @@ import numpy as np
 
 from dgeval.failure_rule import NEAR_M, Facts, Needs, Thresholds, Unknown, Verdict, classify
 from dgeval.geometry import Array, invert, rotation_vector
+from dgeval.robots.described_hand import DescribedHand
 from dgeval.verdict.decide import Draw
 from dgeval.verdict.evidence import Scene
 from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, SUBSTEPS
@@ -55,7 +56,7 @@ class Twin(HandOnHandle):
     """One draw: the scene with a solid of its cloud, displaced by (dx, dy m, turn rad).
 
     friction, mass: factors on the solid's sliding friction and mass. force: factor on what the
-    drives of the fingers give.
+    drives of the fingers give, as far as a description allows.
     """
 
     def __init__(
@@ -74,9 +75,12 @@ class Twin(HandOnHandle):
         rest = float(centre[2]) if scene.held else self.target.rest_height()
         super().__init__(model, scene.gripper, rest)
         model.geom_friction[self.object_geoms, 0] *= friction
-        model.actuator_forcerange[self.drives] *= force
-        model.actuator_gainprm[self.drives] *= force
-        model.actuator_biasprm[self.drives] *= force
+        given: Array = np.full(len(self.drives), force)
+        if isinstance(scene.gripper, DescribedHand):
+            given = scene.gripper.force_factors(force)
+        model.actuator_forcerange[self.drives] *= given[:, None]
+        model.actuator_gainprm[self.drives] *= given[:, None]
+        model.actuator_biasprm[self.drives] *= given[:, None]
         self._hand_dof = int(model.joint("hand").dofadr[0])
         # nothing pushes a recorded hand: with a small inertia the solver would let part of each
         # contact go into moving it

@@ -329,7 +329,9 @@ def test_a_hand_by_its_description_is_never_as_sure_as_its_draws(
     """Fails where three draws that agree make 91 % of what is right in three of four trials."""
     physics(GivenDraw())
     by_name = decided(still(), "twin", 3, 0, 0.0)
-    described = SimpleNamespace(mismatch_sd=FIVE_FINGERS.mismatch_sd, force_n=(15.0, 15.0))
+    described = SimpleNamespace(
+        mismatch_sd=FIVE_FINGERS.mismatch_sd, force_n=(15.0, 15.0), closing_source="recorded"
+    )
     monkeypatch.setattr(f"{DRAWS}.DescribedHand", SimpleNamespace)
     by_description = decided(still(gripper=described), "twin", 3, 0, 0.0)
     assert max(by_name.probabilities) == pytest.approx(max(shares(3.0, 0.0, 0.0)))
@@ -346,7 +348,9 @@ def test_a_grip_that_presses_too_deep_is_made_again_with_less_force(
     1 mm at 15 N, as far as proportional: up to 30 N are fine.
     """
     twin = physics(GivenDraw(pressed_by_n=0.001))
-    hand = SimpleNamespace(mismatch_sd=FIVE_FINGERS.mismatch_sd, force_n=(3.0, 60.0))
+    hand = SimpleNamespace(
+        mismatch_sd=FIVE_FINGERS.mismatch_sd, force_n=(3.0, 60.0), closing_source="recorded"
+    )
     monkeypatch.setattr(f"{DRAWS}.DescribedHand", SimpleNamespace)
     decision = decided(still(gripper=hand), "twin", 3, 0, 0.0)
     deep = [force for force in twin.forces if force > 2.0]

@@ -10,7 +10,7 @@ from dgeval.robots.described_hand import DescribedHand, described_hand
 from dgeval.robots.hand_links import HandLinks, hand_links
 from dgeval.robots.loading import load_description
 from dgeval.verdict.described_grip import described_grip
-from dgeval.verdict.recorded_closing import moved_as_recorded
+from dgeval.verdict.recorded_closing import closing_as, recorded_closing
 from tests.robots.urdf_texts import GRIPPER, PADS, robot
 
 OPEN, CLOSE_S, END_S = 0.04, 1.0, 4.0
@@ -110,6 +110,13 @@ def path(rest: float) -> Array:
     """(m, 2) m, both jaws from the close on."""
     t = np.arange(1, 300) * PERIOD_S
     return np.repeat(np.maximum(OPEN - SPEED * t, rest)[:, None], 2, axis=1)
+
+
+def moved_as_recorded(
+    hand: DescribedHand, before: Array, way: Array, points: Array
+) -> DescribedHand:
+    closing = recorded_closing(hand, before, way, points)
+    return hand if closing is None else closing_as(hand, closing, "recorded")
 
 
 NOTHING = np.zeros((0, 3))

@@ -240,7 +240,7 @@ def test_fingers_that_press() -> None:
     """Catches a sign of effort that matters, confidence of a failure for one of a success, fingers
     listed out of order.
     """
-    assert outcome(trial(joints=GRIP), None) == Ended("success", "inferred", GRIP_SAYS, 0.97)
+    assert outcome(trial(joints=GRIP), None) == Ended("success", "inferred", GRIP_SAYS, 0.97, True)
     found = outcome(trial(joints=EMPTY), None)
     assert (found.outcome, found.source, found.evidence) == ("failure", "inferred", EMPTY_SAYS)
     assert found.p_success == pytest.approx(0.03)
@@ -483,7 +483,12 @@ UP = "the object is seen 18 cm up, 2.2 s after the close"
     [
         (GRIP, 0.18, 0.02, Ended("success", "inferred", f"{GRIP_SAYS} and {UP}", 0.99)),
         (EMPTY, 0.0, 0.5, Ended("failure", "inferred", f"{EMPTY_SAYS} and {LEFT}", 0.01)),
-        (GRIP, 0.0, 0.02, Ended("success", "inferred", GRIP_SAYS, 0.97)),  # no sighting counts
+        (
+            GRIP,
+            0.0,
+            0.02,
+            Ended("success", "inferred", GRIP_SAYS, 0.97, True),
+        ),  # unseen
         (GRIP, 0.0, 0.5, Ended("unknown", None, f"{GRIP_SAYS}, but {LEFT}")),
         (EMPTY, 0.18, 0.02, Ended("unknown", None, f"{EMPTY_SAYS}, but {UP}")),
     ],

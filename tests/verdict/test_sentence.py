@@ -46,7 +46,7 @@ def trial(close_ns: int | None = CLOSE) -> Any:
         last_ns=LAST,
         close_ns=close_ns,
         close_missing=None,
-        robot=SimpleNamespace(base_frame="base_link"),
+        robot=SimpleNamespace(base_frame="base_link", hand_found="none"),
     )
 
 
