@@ -162,10 +162,11 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
     hand = scene.gripper
     if isinstance(hand, DescribedHand):
         least, most = hand.force_n
+        by = "" if hand.force_n == ANY_FORCE_N else ", by its efforts"
         closing = CLOSING[hand.closing_source]
         notes.append(
             f"verdict: the hand is {hand.told}; it closes {closing}, with {least:.0f} to "
-            f"{most:.0f} N at a fingertip{'' if hand.force_n == ANY_FORCE_N else ', by its efforts'}"
+            f"{most:.0f} N at a fingertip{by}"
         )
     unseen_s = scene.unseen_s(scene.reference)
     if scene.close is not None and unseen_s > LONG_UNSEEN_S:
