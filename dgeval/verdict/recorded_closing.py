@@ -22,7 +22,10 @@ from dgeval.worlds.closing import CONTROL_S, SETTLE_S
 LONGEST_S = 3.0  # s, that a hand needs to close at most; ours
 # share of the fastest motion: above it a joint moves, and at half of its usual speed it is slowed
 MOVING, SLOWED = 0.05, 0.5
-REST_TICKS = 10  # control periods without motion, after which a hand has closed
+REST_TICKS = 10  # control periods, over which it is told whether a joint stands
+# share of the fastest motion over so long, up to which it stands: encoders tremble; ours
+STANDS = 0.1
+SETTLED = 0.01  # share of its way, within which a joint is where it comes to rest; ours
 BESIDE_M = 0.010  # m; a finger so near to the object may have been stopped; ours
 LEAST_MOVED = 0.02  # share of a joint's range, or rad and m, by which it moves if it closes at all
 
@@ -56,27 +59,47 @@ def recorded_closing(
     """
     if len(path) < REST_TICKS:
         return None
-    steps = np.abs(np.diff(np.vstack([before, path]), axis=0))
-    fastest = steps.max(axis=0)
-    moved = np.abs(path[-1] - before) > LEAST_MOVED * hand.geometry.spans
+    rest = np.median(path[-REST_TICKS:], axis=0)
+    moved = np.abs(rest - before) > LEAST_MOVED * hand.geometry.spans
     if not moved.any():
         return None
-    is_moving = (steps > MOVING * np.maximum(fastest, 1e-9))[:, moved].any(axis=1)
-    last = int(np.flatnonzero(is_moving)[-1]) + 1  # periods from the command to rest
-    rest = path[min(last, len(path)) - 1]
-    stopped = _may_be_stopped(hand, rest, points)
+    q = np.vstack([before, path])  # by period
+    least = LEAST_MOVED * hand.geometry.spans
+    stands = np.array([_first_stands(q[:, k], least[k]) for k in range(len(before))])
+    stopped = _may_be_stopped(hand, q[stands, np.arange(len(before))], points)
+    settled = np.abs(_without_outliers(q) - rest) <= SETTLED * np.abs(rest - before)
+    rests = [int(np.flatnonzero(~settled[:, k])[-1]) + 2 for k in np.flatnonzero(moved)]
+    ends = np.where(stopped[moved], stands[moved], rests)
+    last = int(min(max(1, ends.max()), len(path)))  # periods from the command to rest
     way = path[:last].copy()
+    way[-1, moved & ~stopped] = rest[moved & ~stopped]
     speeds = np.zeros(len(rest))
     for k in np.flatnonzero(moved & stopped):
-        own = steps[:last, k]
-        usual = float(np.median(own[own > MOVING * fastest[k]]))
-        free = np.flatnonzero(own >= SLOWED * usual)
-        until = int(free[-1]) + 1
-        speed = float(np.sign(rest[k] - before[k])) * usual
-        later = np.arange(1, last - until + 1)
-        way[until:, k] = path[until - 1, k] + speed * later
+        own = np.abs(np.diff(q[: stands[k] + 1, k]))
+        usual = float(np.median(own[own > MOVING * own.max()]))
+        until = int(np.flatnonzero(own >= SLOWED * usual)[-1]) + 1
+        speed = float(np.sign(q[stands[k], k] - before[k])) * usual
+        way[until:, k] = q[until, k] + speed * np.arange(1, last - until + 1)
         speeds[k] = speed
     return Closing(before, np.clip(way, *hand.geometry.limits), speeds)
+
+
+def _without_outliers(q: Array) -> Array:
+    """The positions (m, k), each the median of five periods."""
+    padded = np.pad(q, ((2, 2), (0, 0)), mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), -1))
+
+
+def _first_stands(q: Array, least: float) -> int:
+    """The period of the positions (m,) from which on a joint stands after it has moved, for the
+    first time; the last one where it never does. least: motion that counts, rad or m.
+
+    What stopped it may let go later, and it snaps shut.
+    """
+    over = np.abs(q[REST_TICKS:] - q[:-REST_TICKS])
+    fastest = np.maximum.accumulate(over)
+    standing = np.flatnonzero((over <= STANDS * fastest) & (fastest >= least))
+    return int(standing[0]) if len(standing) else len(q) - 1
 
 
 def closing_as(

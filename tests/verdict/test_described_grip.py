@@ -155,3 +155,22 @@ def test_a_hand_that_did_not_move_closes_to_its_limits() -> None:
     hand = moved_as_recorded(gripper(), np.full(2, OPEN), still, NOTHING)
     assert hand.closing_source == "limits"
     assert hand.targets(1.0, np.full(2, OPEN)) == pytest.approx([0.0, 0.0])
+
+
+def test_an_encoder_that_trembles_is_at_rest() -> None:
+    """Fails where a hand closes for as long as its encoders tremble: the lift then comes late."""
+    rng = np.random.default_rng(0)
+    trembling = path(0.002) + rng.normal(0, 1e-4, (299, 2))
+    hand = moved_as_recorded(gripper(), np.full(2, OPEN), trembling, NOTHING)
+    assert hand.close_s == pytest.approx((OPEN - 0.002) / SPEED, abs=0.02)
+    assert hand.targets(10.0, np.full(2, OPEN)) == pytest.approx([0.002, 0.002], abs=2e-4)
+
+
+def test_jaws_that_snap_shut_when_the_object_slips_out() -> None:
+    """Fails where another close stands at the object's width for as long, and snaps shut then."""
+    slipped = path(0.015)
+    slipped[80:] = 0.0
+    hand = moved_as_recorded(gripper(), np.full(2, OPEN), slipped, BETWEEN)
+    assert hand.targets(0.1, np.full(2, OPEN)) == pytest.approx([0.03, 0.03])
+    assert hand.targets(0.35, np.full(2, OPEN)) == pytest.approx([0.005, 0.005], abs=1e-3)
+    assert hand.close_s == pytest.approx((OPEN - 0.015) / SPEED, abs=0.03)
