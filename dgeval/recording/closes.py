@@ -217,11 +217,9 @@ def gripper_tracks(scan: Scan, robot: RobotStates) -> tuple[GripperTrack, ...]:
         values = np.array([v for _, v in rows])
         what: TrackKind = "command" if is_command_topic(topic, kind) else "width"
         out.append(GripperTrack(topic, what, times, values))
-    known = (
-        set()
-        if robot.description is None
-        else {j.follows for j in robot.description.joints.values()}
-    )
+    joints = [] if robot.description is None else list(robot.description.joints.values())
+    # a joint that follows another may be recorded too
+    known = {name for joint in joints for name in (joint.name, joint.follows)}
     for name, stamps in sorted(robot.joints.times.items()):
         if name not in known and any(word in name.lower() for word in GRIPPER_WORDS):
             times = np.array(stamps, dtype=np.int64)

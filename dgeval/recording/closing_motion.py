@@ -28,6 +28,8 @@ BEFORE_LIFT_NS = 120_000_000
 # RISES_M within RISES_S of that; ours
 RISES_M, RISES_S, AFTER_S = 0.05, 1.0, 1.0
 RISING_M = 0.005  # m, from which on it is rising
+OVER_NOISE = 3.0  # standard deviations, by which a motion of the fingers stands out; ours
+MOST_HALF = 25  # samples on each side, over which fingers are smoothed at most; ours
 SEEN = 0.9  # share of the trial in which the fingers must be known, to say that they never closed
 
 
@@ -154,10 +156,17 @@ def _width(
 def _closing_motions(times: NDArray[np.int64], width: Array) -> list[tuple[int, int]]:
     """Start and end, ns, of the motions that narrow the hand enough."""
     span = float(np.ptp(width))
-    kernel = np.ones(3) / 3
-    smooth = np.convolve(np.pad(width, 1, mode="edge"), kernel, mode="valid")
+    least = MOVES_BY * span / WITHIN_S
+    noise = _noise(width)
+    half = _half_window(noise, least)
+    kernel = np.ones(2 * half + 1) / (2 * half + 1)
+    smooth = np.convolve(np.pad(width, half, mode="edge"), kernel, mode="valid")
     rate = np.gradient(smooth, times * 1e-9)
-    closing = rate < -MOVES_BY * span / WITHIN_S
+    if half > 1:  # of a line through the window, which noise moves least
+        steps = np.arange(half, -half - 1, -1)
+        over = np.pad(width, half, mode="edge")
+        rate = np.convolve(over, steps / (steps @ steps), mode="valid") / (STEP_NS * 1e-9)
+    closing = rate < -least
     out: list[tuple[int, int]] = []
     k = 0
     while k < len(times):
@@ -171,20 +180,33 @@ def _closing_motions(times: NDArray[np.int64], width: Array) -> list[tuple[int, 
             elif times[j] - times[end] > STILL_NS:
                 break
         if smooth[k] - smooth[end] >= max(MOVES_BY * span, LEAST_M / 2):
-            out.append((_start(times, width, k, end), int(times[end])))
+            out.append((_start(times, width, k, end, noise), int(times[end])))
         k = end + 1
     return out
 
 
-def _start(times: NDArray[np.int64], width: Array, k: int, end: int) -> int:
+def _noise(width: Array) -> float:
+    """Standard deviation, m, of one sample, by the steps between two; 0 of rounded numbers."""
+    return float(1.4826 * np.median(np.abs(np.diff(width))) / np.sqrt(2.0))
+
+
+def _half_window(noise: float, least: float) -> int:
+    """Samples on each side over which a rate of `least`, m/s, stands out of the noise, m."""
+    # of a line through n samples the slope's variance is 12 noise^2 / n^3 / period^2
+    count = (12 * (OVER_NOISE * noise / (least * STEP_NS * 1e-9)) ** 2) ** (1 / 3)
+    return int(np.clip(count / 2, 1, MOST_HALF))
+
+
+def _start(times: NDArray[np.int64], width: Array, k: int, end: int, noise: float) -> int:
     """When a motion that is seen from k on began: its first steep part, carried back to the level
-    before it.
+    before it. noise, m: of one sample.
     """
     before = slice(max(0, k - 12), max(1, k - 2))
     level, drop = float(np.median(width[before])), float(width[before].min() - width[end])
     inside = np.arange(max(0, k - 3), end + 1)
-    some = next((i for i in inside if width[i] < level - 0.05 * drop), k)
-    more = next((i for i in inside if i > some and width[i] < level - 0.20 * drop), some)
+    first, second = max(0.05 * drop, OVER_NOISE * noise), max(0.20 * drop, 2 * OVER_NOISE * noise)
+    some = next((i for i in inside if width[i] < level - first), k)
+    more = next((i for i in inside if i > some and width[i] < level - second), some)
     if more == some or width[some] == width[more]:
         return int(times[k])
     slope = (width[more] - width[some]) / float(times[more] - times[some])

@@ -48,6 +48,9 @@ MOVES_BY = 0.20  # share of the recorded range that a closing motion covers, als
 SMOOTHED = 9  # samples of an effort, of which the median counts; ours
 OVER_NOISE = 20.0  # times its noise, that an effort's range must be to tell something; ours
 WITHIN_S = 1.5  # s, in which it does so
+# samples of a width, from which on noise is told from motion, and times the usual step between two,
+# below which the range of all is noise; ours
+DENSE, TREMBLES = 50, 12.0
 
 
 TrackKind = Literal["command", "width", "effort"]
@@ -80,13 +83,18 @@ class GripperTrack:
             # a command may be a ramp of small steps
             given += [a for a, b in motions if not any(a <= t <= b for t in given)]
             return [(int(t), int(t)) for t in sorted(given)]
-        if span < 1e-6:
+        if span < 1e-6 or _only_trembles(self.values, span):
             return []
         motions = _motions(self.times, self.values, span)
         if not any(word in self.topic.lower() for word in WIDTHS):
             return motions
         at = np.interp(np.array(motions).reshape(-1, 2), self.times, self.values)
         return [m for m, (before, after) in zip(motions, at, strict=True) if after < before]
+
+
+def _only_trembles(values: Array, span: float) -> bool:
+    """Whether the steps between samples make up the range of a dense stream, as noise does."""
+    return len(values) >= DENSE and span < TREMBLES * float(np.median(np.abs(np.diff(values))))
 
 
 def _motions(times: NDArray[np.int64], values: Array, span: float) -> list[tuple[int, int]]:

@@ -121,12 +121,13 @@ def described_grip(
         if not short.any():
             return False, "the fingers have closed as far as in other trials with nothing in them"
         return None
-    presses = closed & ~at_limit & pressing
+    harder, may_press = pressing
+    presses = closed & ~at_limit & harder
     count = _fingers(hand, presses)
     if count >= two:
         who = "a finger presses" if count == 1 else f"{count} fingers press"
         return True, f"{who} harder at the end than on the way"
-    if not presses.any():
+    if not (closed & ~at_limit & may_press).any():
         return False, "no finger presses at the end"
     return None
 
@@ -165,9 +166,9 @@ def _farthest(positions: Array, start: Array) -> Array:
 
 def _drives_press(
     earlier: tuple[Array, Array], way: tuple[Array, Array], last: tuple[Array, Array]
-) -> np.ndarray | None:
-    """(k,) whether each joint's drive gives more at the end than it gave on its way; None where
-    efforts are not recorded.
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
+    """(k,) whether each joint's drive gives more at the end than it gave on its way, and whether it
+    may, as noise does not let it be told; None where efforts are not recorded.
     """
     efforts = [x[1] for x in (earlier, way, last)]
     if any(np.isnan(x).all() for x in efforts) or not any(np.nan_to_num(x).any() for x in efforts):
@@ -183,4 +184,5 @@ def _drives_press(
     free = float(np.nanquantile(given[moving], FREE))
     now = np.abs(np.nanmedian(efforts[2], axis=0) - rest)
     most = max(float(np.nanmax(given)), float(np.nanmax(now)))
-    return np.asarray(now > np.maximum(NOISES * noise, max(HARDER * free, LEAST_SHARE * most)))
+    least = max(HARDER * free, LEAST_SHARE * most)
+    return now > np.maximum(NOISES * noise, least), now > least

@@ -122,6 +122,11 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
     held = above and _rises(hindsight, T_support_base, end_ns)
     if hindsight.support is None and not held:
         return Unknown("what the object stands on was never seen")
+    if not held and (deep := -float(np.median(points[:, 2]))) > 0.0:
+        return Unknown(
+            f"the object is seen {deep * 1000:.0f} mm below what was taken for its support; is the "
+            "target another thing (--bbox)?"
+        )
     believed = log.recorded.velocities
     believed_ns = np.array([t for t, _ in believed], dtype=np.int64)
     free = T_support_base[:3, :3] @ hindsight.path.velocity[-1]

@@ -18,6 +18,7 @@ from dgeval.recording.robot import RobotStates
 from dgeval.robots.described_hand import DescribedHand
 from dgeval.robots.hand import Grip, Hand, hands
 from dgeval.verdict.described_grip import described_grip, rest_of_closed
+from dgeval.verdict.evidence import MIN_REGISTERED
 from dgeval.verdict.log import TrialLog
 
 AFTER_S = 1.0  # s after the close, from which fingers at rest tell what they hold; ours
@@ -210,6 +211,8 @@ def _seen_after(
     """What registered sightings late in the log show: left on the support, or up with the hand."""
     if hindsight is None or hindsight.support is None:
         return None
+    if hindsight.n_registered < MIN_REGISTERED:
+        return None  # what was hardly seen before may be another thing after
     later = [
         s
         for s in hindsight.sightings

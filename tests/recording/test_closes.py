@@ -195,3 +195,16 @@ def test_a_gripper_that_closes_empty_after_the_last_lift_decides_nothing(
     entries = (Event(1 * S, "close", {}), Event(2 * S, "lift", {}), Event(4 * S, "close", {}))
     told = close_of(Events(entries), made, 0, 5 * S)
     assert told.events.first_ns("close") == 1 * S
+
+
+def test_fingers_that_tremble_close_when_they_close(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails where 0.1 mm of noise beside a motion of 7 mm is one close from the first frame on."""
+    t = np.arange(0.0, LENGTH_S + 0.01, 0.01)
+    noise = np.random.default_rng(0).normal(0, 1e-4, len(t))
+    width = np.interp(t, [3.0, 3.1], [0.104, 0.0975]) + noise
+    made = robot(
+        monkeypatch,
+        list(zip(t.tolist(), width.tolist(), strict=True)),
+        [(0, 0.5), (2.9, LOW), (3.7, LOW), (4.3, HIGH), (5, HIGH)],
+    )
+    assert near(found(made), 3.0, 3.7)

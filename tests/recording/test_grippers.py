@@ -45,6 +45,14 @@ def test_slow_creep_and_noise_are_no_motion() -> None:
     assert len(wide.changes()) == 1
 
 
+def test_a_width_that_only_trembles_never_moves() -> None:
+    """Fails where the noise of a joint that stays where it is makes a hundred closes."""
+    noise = np.random.default_rng(0).normal(0.04, 1e-4, 700)
+    assert track(noise.tolist(), step_s=0.01).changes() == []
+    slow = [0.04 - 2e-5 * min(max(0, k - 300), 100) for k in range(700)]  # 2 mm in 1 s
+    assert len(track([v + e / 100 for v, e in zip(slow, noise, strict=True)]).changes()) <= 1
+
+
 def test_commands_count_when_they_change_or_stand_alone() -> None:
     """Fails where each message of a stream of equal commands is a close."""
     assert track([0.08] * 20 + [0.0] * 20, True).changes() == [(2 * S, 2 * S)]

@@ -71,6 +71,21 @@ def test_fingers_that_pushed_something_before_the_close() -> None:
     assert not found[0]
 
 
+@pytest.mark.parametrize(("at_the_end", "holds"), [(6.0, None), (1.0, False), (20.0, True)])
+def test_efforts_that_tremble_on_the_way_say_no_less(at_the_end: float, holds: bool | None) -> None:
+    """Fails where 6 N at the end are no grip, as the efforts before the close vary by 2 N."""
+    rng = np.random.default_rng(0)
+    samples = []
+    for s in states(0.015, 20.0):
+        noise = 2.0 if s.t_ns <= CLOSE_S * 1e9 else 0.01
+        mean = 0.0 if s.t_ns <= CLOSE_S * 1e9 else 1.0 if s.positions["jaw"] > 0.015 else at_the_end
+        efforts = {name: mean + noise * float(rng.normal()) for name in s.positions}
+        samples.append(JointSample(s.t_ns, s.positions, efforts))
+    end = [s for s in samples if s.t_ns > (END_S - 0.5) * 1e9]
+    found = described_grip(gripper(), samples, round(CLOSE_S * 1e9), end)
+    assert (None if found is None else found[0]) is holds
+
+
 def test_jaws_that_were_pushed_shut_before_the_close() -> None:
     """Fails where opening a little, from beyond the limit to it, is a close that met something."""
     samples = []

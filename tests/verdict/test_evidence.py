@@ -548,6 +548,14 @@ def test_why_there_is_no_scene(trial: dict[str, Any], hindsight: dict[str, Any],
     assert scene_of(log_of(trial_of(**trial)), hindsight_of(**hindsight)) == Unknown(why)
 
 
+def test_an_object_below_its_support_is_no_scene() -> None:
+    """Fails where another surface taken for the support ends in a shape without height."""
+    raised = Plane(np.array([0.0, 0.0, 1.0]), -TABLE - 0.2, 1.0)
+    why = scene_of(log_of(trial_of()), hindsight_of(support=raised))
+    assert isinstance(why, Unknown)
+    assert "below what was taken for its support" in why.reason
+
+
 def test_just_enough_for_a_scene() -> None:
     """Catches a limit that is off by one: five registered frames, twenty ticks, gaps of half a
     second.

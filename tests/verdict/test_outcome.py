@@ -368,6 +368,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
         first_s: float = 2.0,
         by: str = "registration",
         support: bool = True,
+        before: int = 20,
     ) -> Any:
         T_rest = np.eye(4)
         T_rest[2, 3] = 0.05
@@ -387,7 +388,8 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
         path = SimpleNamespace(
             centroid=CENTRE, at=lambda t_ns: T_rest if t_ns == CLOSE else np.full((4, 4), np.nan)
         )
-        return SimpleNamespace(support=plane, sightings=tuple(sightings), path=path)
+        listed = tuple(sightings)
+        return SimpleNamespace(support=plane, sightings=listed, path=path, n_registered=before)
 
     return made
 
@@ -459,10 +461,13 @@ def test_unsteady_heights_say_nothing(seen: Seen, rises: list[float], said: bool
         {"rises": [0.0] * 3, "by": "colour"},
         {"rises": [0.0] * 3, "by": "depth"},
         {"rises": [0.0] * 3, "support": False},
+        {"rises": [0.0] * 3, "before": 4},  # registered before the close
     ],
 )
 def test_sightings_that_do_not_count(seen: Seen, given: dict[str, Any]) -> None:
-    """Catches colour alone believed, sightings during the lift, and heights over no support."""
+    """Catches colour alone believed, sightings during the lift, heights over no support, and what
+    was hardly seen before the close taken for the object after it.
+    """
     assert outcome(trial(), seen(**given)) == NOTHING_SAID
 
 

@@ -475,9 +475,8 @@ def test_what_is_seen_high_up_but_away_from_the_hand_was_not_lifted(
             T = np.eye(4)
             T[2, 3] = z
             places.append(Sighting(2 * second + k * second // 30, T, "registration"))
-        hindsight = SimpleNamespace(
-            path=path, support=Plane(np.array([0.0, 0.0, 1.0]), 0.0, 1.0), sightings=places
-        )
+        support = Plane(np.array([0.0, 0.0, 1.0]), 0.0, 1.0)
+        hindsight = SimpleNamespace(path=path, support=support, sightings=places, n_registered=20)
         monkeypatch.setattr("dgeval.verdict.outcome.hand_distance", lambda *_: (apart, "index_3"))
         return outcome._seen_after(None, hindsight, 0)  # type: ignore[arg-type]
 
