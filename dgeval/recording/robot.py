@@ -17,6 +17,7 @@ from dgeval.config import Config, HandConfig
 from dgeval.errors import Place, UsageError
 from dgeval.geometry import Array, matrix_from_pose
 from dgeval.recording.contract import ROBOT_DESCRIPTION
+from dgeval.recording.joint_names import as_described
 from dgeval.recording.messages import JointSample
 from dgeval.recording.namespaces import Series, differ, holds, home_of, namespace_of, of_camera
 from dgeval.recording.palm import palm_of
@@ -221,6 +222,10 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         notes.append(f"{', '.join(left)} are another robot's joint states and are not used")
     description = _description(scan, roles, joints, config, notes)
     if description is not None:
+        samples, renamed = as_described(samples, description)
+        if renamed:
+            joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)
+            notes.append(renamed)
         notes.extend(description.notes)
         notes.extend(note for note in known_hand(description)[1:] if note)
         _add_joints(tree, description, joints, max_gap_ns)

@@ -177,10 +177,10 @@ def test_a_static_frame_that_is_given_twice_is_told(
 def test_joints_that_nobody_recorded_are_named(tmp_path: Path, messages: list[Message]) -> None:
     """Fails where the times of joint states are blamed for names that don't fit the description."""
 
-    def prefixed(_: int, value: Any) -> Any:
-        return joints(value, value.position, [f"robot/{name}" for name in value.name])
+    def otherwise(_: int, value: Any) -> Any:
+        return joints(value, value.position, [f"axis_of_{name}_1" for name in value.name])
 
-    trial = opened(write(tmp_path / "a.mcap", with_joints(messages, prefixed)))
+    trial = opened(write(tmp_path / "a.mcap", with_joints(messages, otherwise)))
     assert "poses" in names(trial)
     assert "no states are recorded of the joints above the camera" in said(trial)
 
