@@ -280,9 +280,9 @@ def _against_pictures(
     if share <= NOT_QUITE:
         return [], ""
     if share <= CONTRADICTS:
-        causes = "the hand-eye calibration, a joint's scale, or the intrinsics (was the picture "
-        causes += "cut?)"
-        return [], f"{what}: {causes} are not quite right"
+        causes = "the hand-eye calibration, a joint's scale, the intrinsics (was the picture "
+        causes += "cut?), or the time of colour against depth"
+        return [], f"{what}: one of these is not quite right: {causes}"
     mend = (
         "are the pictures mirrored or turned, is the hand-eye calibration right, and have the "
         "joints above the camera the description's names, signs and units?"
