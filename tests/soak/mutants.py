@@ -37,6 +37,7 @@ MOTION = "dgeval/recording/closing_motion.py"
 CAMERAS, CHECKS = "dgeval/recording/cameras.py", "dgeval/recording/checks.py"
 TEST_CHECKS = "tests/recording/test_checks.py"
 TEST_TARGET = "tests/recording/test_recorded_target.py"
+TEST_ESTIMATES = "tests/verdict/test_estimates.py"
 TEST_ROBOTS = "tests/recording/test_several_robots.py"
 TEST_RULE, TEST_LINES = "tests/test_failure_rule.py", "tests/test_failure_rule_lines.py"
 
@@ -1203,6 +1204,55 @@ MUTANTS = [
         "force, softened = 0.5 * force, softened + 1",
         "force, softened = 0.9 * force, softened + 1",
         f"{TEST_DECIDE}::test_a_grip_that_presses_too_deep_is_made_again_with_less_force",
+    ),
+    Mutant(
+        "dgeval/verdict/evidence.py",
+        "elif log.elsewhere.closing is not None:",
+        "elif False:",
+        TEST_ESTIMATES,
+    ),
+    Mutant("dgeval/runs/estimates.py", "LEAST_ALIKE = 2  #", "LEAST_ALIKE = 1  #", TEST_ESTIMATES),
+    Mutant(
+        "dgeval/runs/estimates.py",
+        'key=lambda f: (int(np.count_nonzero(f[1]["speeds"])),',
+        'key=lambda f: (-int(np.count_nonzero(f[1]["speeds"])),',
+        TEST_ESTIMATES,
+    ),
+    Mutant(
+        "dgeval/verdict/described_grip.py",
+        "(np.sign(reached - start) * (empty - rest) > AT_LIMIT * span)",
+        "(np.sign(reached - start) * (rest - empty) > AT_LIMIT * span)",
+        TEST_ESTIMATES,
+    ),
+    Mutant(
+        "dgeval/verdict/recorded_force.py",
+        "abs(after - before) / lever",
+        "abs(after) / lever",
+        TEST_ESTIMATES,
+    ),
+    Mutant(
+        "dgeval/verdict/recorded_closing.py",
+        "standing = np.flatnonzero((over <= STANDS * fastest)",
+        "standing = np.flatnonzero((over <= 0.0 * fastest)",
+        "tests/verdict/test_described_grip.py",
+    ),
+    Mutant(
+        "dgeval/recording/closing_motion.py",
+        "return int(np.clip(count / 2, 1, MOST_HALF))",
+        "return 1",
+        "tests/recording/test_closes.py",
+    ),
+    Mutant(
+        "dgeval/recording/joint_names.py",
+        "if len(longs) == len(found[best]) else None",
+        "if longs else None",
+        "tests/recording/test_joint_names.py",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        "if hindsight.n_registered < MIN_REGISTERED:",
+        "if False:",
+        "tests/verdict/test_outcome.py",
     ),
 ]
 

@@ -183,9 +183,9 @@ def test_an_encoder_that_trembles_is_at_rest() -> None:
 
 def test_jaws_that_snap_shut_when_the_object_slips_out() -> None:
     """Fails where another close stands at the object's width for as long, and snaps shut then."""
-    slipped = path(0.015)
+    slipped = path(0.015) + np.random.default_rng(0).normal(0, 5e-5, (299, 2))
     slipped[80:] = 0.0
     hand = moved_as_recorded(gripper(), np.full(2, OPEN), slipped, BETWEEN)
-    assert hand.targets(0.1, np.full(2, OPEN)) == pytest.approx([0.03, 0.03])
+    assert hand.targets(0.1, np.full(2, OPEN)) == pytest.approx([0.03, 0.03], abs=3e-4)
     assert hand.targets(0.35, np.full(2, OPEN)) == pytest.approx([0.005, 0.005], abs=1e-3)
     assert hand.close_s == pytest.approx((OPEN - 0.015) / SPEED, abs=0.03)
