@@ -12,6 +12,11 @@ from dgeval.config import SyncConfig
 
 Ints = NDArray[np.int64]
 RECORDER_APART_S = 1.0  # s, between log time and stamps, from which on the clocks are two; ours
+# s, by which a message may be logged later than others; by which these agree on how late they are;
+# or the share of their spread, if that is more; messages beside it that say so; in order in all;
+# share of the period that its stamp stands alone
+LATE_S, SAME_CLOCK_S, SAME_SHARE, LEAST_BESIDE, LEAST_IN_ORDER = 1.5, 0.05, 0.25, 8, 10  # ours
+OWN_PLACE = 0.4  # ours
 ONE_CLOCK_S = 0.5  # s, within which all topics must agree on that; ours
 
 
@@ -20,14 +25,15 @@ class StampFaults:
     """Counts of wrong stamps over one image topic.
 
     zero: the log time is used instead. backward: out of order with the most others, duplicate:
-    equal to another; the message is not used. jump: forward by more than `sync.jump_s`; the message
-    is used.
+    equal to another; the message is not used. jump: forward by more than `sync.jump_s`, late:
+    logged after messages with later stamps, as over a bad network; the message is used.
     """
 
     zero: int
     backward: int
     duplicate: int
     jump: int
+    late: int = 0
 
     @property
     def dropped(self) -> int:
@@ -37,10 +43,15 @@ class StampFaults:
 def clean_stamps(
     header_ns: Ints, log_ns: Ints, offset_ns: int, jump_ns: int
 ) -> tuple[Ints, Ints, StampFaults]:
-    """Usable stamps, ns, strictly rising; their ordinals in the topic; counts of wrong stamps."""
+    """Usable stamps, ns, strictly rising; their ordinals in the topic; counts of wrong stamps.
+
+    The ordinals rise but for messages that were logged late.
+    """
     zero = header_ns == 0
     stamps = np.where(zero, log_ns, header_ns) + offset_ns
     keep = _longest_rising(stamps.tolist())
+    late = _logged_late(stamps, log_ns, keep)
+    keep = sorted([*keep, *late], key=lambda i: stamps[i])
     kept = set(keep)
     values = {int(stamps[i]) for i in keep}
     backward = duplicate = 0
@@ -51,7 +62,37 @@ def clean_stamps(
     ordinals = np.array(keep, dtype=np.int64)
     used = stamps[ordinals]
     jump = int((np.diff(used) > jump_ns).sum()) if len(used) > 1 else 0
-    return used, ordinals, StampFaults(int(zero.sum()), backward, duplicate, jump)
+    return used, ordinals, StampFaults(int(zero.sum()), backward, duplicate, jump, len(late))
+
+
+def _logged_late(stamps: Ints, log_ns: Ints, keep: list[int]) -> list[int]:
+    """Those of the messages that are out of order whose stamps are right and that were logged late.
+
+    Their log times are late by up to LATE_S more than those of others soon before and after them,
+    as a clock's that was set back are not; and their stamps fall where one is missing.
+    """
+    left = sorted(set(range(len(stamps))) - set(keep))
+    if not left or len(keep) < LEAST_IN_ORDER:
+        return []
+    behind = (log_ns - stamps) * 1e-9
+    at = (log_ns - log_ns[0]) * 1e-9
+    out = []
+    for i in left:
+        near = np.abs(at - at[i]) < LATE_S
+        sides = [behind[:i][near[:i]], behind[i + 1 :][near[i + 1 :]]]
+        least = [float(side.min()) for side in sides if len(side) >= LEAST_BESIDE]
+        # where the network's delays vary more, so does the least of some
+        same_s = max(SAME_CLOCK_S, SAME_SHARE * float(np.ptp(behind[near])))
+        if not least or max(least) - min(least) > same_s:
+            continue
+        if -same_s <= behind[i] - min(least) <= LATE_S:
+            out.append(i)
+    together = np.sort(stamps[[*keep, *out]])
+    gaps = np.diff(together)
+    period = float(np.median(gaps[gaps > 0]))
+    apart = np.minimum(np.append(gaps, period), np.insert(gaps.astype(float), 0, period))
+    alone = dict(zip(together.tolist(), (apart >= OWN_PLACE * period).tolist(), strict=True))
+    return [i for i in out if alone[int(stamps[i])]]
 
 
 def _longest_rising(stamps: list[int]) -> list[int]:

@@ -27,6 +27,7 @@ BEFORE_LIFT_NS = 120_000_000
 # m and s: the palm begins to rise within AFTER_S of the fingers' coming to rest, and is up by
 # RISES_M within RISES_S of that; ours
 RISES_M, RISES_S, AFTER_S = 0.05, 1.0, 1.0
+REOPENED = 0.5  # share of the way that a hand closed, by which it has opened again at the end; ours
 RISING_M = 0.005  # m, from which on it is rising
 OVER_NOISE = 3.0  # standard deviations, by which a motion of the fingers stands out; ours
 MOST_HALF = 25  # samples on each side, over which fingers are smoothed at most; ours
@@ -107,6 +108,26 @@ def opens_after(robot: RobotStates, t_ns: int, last_ns: int) -> bool:
     if len(width) < 2 or width.min() < width[0] - LEAST_M / 2:
         return False
     return bool(width[-1] - width[0] > LEAST_M)
+
+
+def release_after(robot: RobotStates, close_ns: int, last_ns: int) -> int | None:
+    """When a hand that has closed begins to open again for good, ns; None where it does not, or its
+    fingers are not known.
+    """
+    tips = _finger_ends(robot)
+    if len(tips) < 2:
+        return None
+    times, width = _width(robot, tips, close_ns, last_ns)
+    if len(times) < 20 or float(np.ptp(width)) < LEAST_M:
+        return None
+    narrowest = int(np.argmin(width))
+    opened = width[narrowest] + REOPENED * (width[0] - width[narrowest])
+    tail = width[-10:]
+    if narrowest < 2 or len(width) - narrowest < 10 or float(np.median(tail)) < opened:
+        return None
+    later = slice(narrowest, None)
+    motions = _closing_motions(times[later], -width[later])
+    return motions[-1][0] if motions else None
 
 
 def _finger_ends(robot: RobotStates) -> tuple[str, ...]:

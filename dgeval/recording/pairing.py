@@ -130,10 +130,12 @@ def window_of(pairing: Pairing, spec: TrialSpec, damage: list[Damage]) -> Window
 
 def stamp_notes(faults: dict[str, StampFaults]) -> list[str]:
     """A sentence on wrong stamps for the trial's notes; none where all were good."""
+    late = [f"{f.late} {role}" for role, f in sorted(faults.items()) if f.late]
+    put = [f"{' and '.join(late)} images were logged late, and are put in order"] if late else []
     if not any(f.dropped or f.zero for f in faults.values()):
-        return []
+        return put
     counted = ", ".join(
         f"{role} {f.zero} zero, {f.backward} backward, {f.duplicate} duplicate"
         for role, f in sorted(faults.items())
     )
-    return [f"stamps: {counted}"]
+    return [f"stamps: {counted}", *put]

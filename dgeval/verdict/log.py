@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dgeval.geometry import Array
 from dgeval.recording.check import PART_CHECK
+from dgeval.recording.closing_motion import release_after
 from dgeval.recording.containers.container import Opened
 from dgeval.recording.contract import (
     CLOSE_EVENT,
@@ -70,6 +71,7 @@ class TrialLog:
     be read, or a part of it is not there. hand_samples: joint states that hold the fingers, in
     their own clock. max_gap_ns: longest gap in joint states that is interpolated. servo_gain: 1/s,
     of the robot's position servo, as configured. elsewhere: what other trials show of the hand.
+    released_ns: when the fingers open again after the close.
     """
 
     first_ns: int
@@ -85,6 +87,7 @@ class TrialLog:
     servo_gain: float
     recorded: Recorded
     elsewhere: HandEstimate = NOTHING_ELSEWHERE
+    released_ns: int | None = None
 
     @property
     def end_ns(self) -> int:
@@ -98,6 +101,13 @@ def log_of(trial: Trial, elsewhere: HandEstimate | None = None) -> TrialLog:
     """
     label = trial.spec.label or trial.events.label()
     scan = trial.scan
+    close_ns = trial.event_ns(CLOSE_EVENT)
+    released_ns = None
+    if close_ns is not None and trial.robot.samples:
+        until_ns = min(
+            trial.robot.samples[-1].t_ns, trial.spec.end_ns or trial.robot.samples[-1].t_ns
+        )
+        released_ns = release_after(trial.robot, close_ns, until_ns)
     stamps = np.zeros(0, dtype=np.int64)
     if MASK_TOPIC in scan.times:
         stamps = scan.times[MASK_TOPIC].arrays()[0]
@@ -105,7 +115,7 @@ def log_of(trial: Trial, elsewhere: HandEstimate | None = None) -> TrialLog:
         trial.pairs[0].t_ns,
         trial.pairs[-1].t_ns,
         trial.spec.end_ns,
-        trial.event_ns(CLOSE_EVENT),
+        close_ns,
         trial.close.missing,
         label,
         bool(trial.damage) or any(check.name == PART_CHECK for check in trial.checks),
@@ -122,6 +132,7 @@ def log_of(trial: Trial, elsewhere: HandEstimate | None = None) -> TrialLog:
             lambda t_ns: _model(trial.opened, t_ns),
         ),
         elsewhere or NOTHING_ELSEWHERE,
+        released_ns,
     )
 
 

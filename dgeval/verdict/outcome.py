@@ -73,16 +73,14 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
             return Ended("unknown", None, log.close_missing)
         return _without_close(log, hindsight)
     last_ns = _last_ns(log)
-    if (last_ns - close_ns) * 1e-9 < AFTER_S:
-        return Ended(
-            "unknown",
-            None,
-            f"the log ends {max(0.0, (last_ns - close_ns) * 1e-9):.1f} s after the close",
-        )
+    after_s = max(0.0, (last_ns - close_ns) * 1e-9)
+    if after_s < AFTER_S:
+        what = "the log ends" if log.released_ns is None else "the hand opens again"
+        return Ended("unknown", None, f"{what} {after_s:.1f} s after the close")
     fingers = _pressing(log, last_ns)
     if isinstance(fingers, Unknown):
         return Ended("unknown", None, fingers.reason)
-    seen = _seen_after(log.robot, hindsight, close_ns)
+    seen = _seen_after(log.robot, hindsight, close_ns, log.released_ns)
     if fingers is None and seen is None:
         why = "neither efforts nor a sighting after the lift say how it ended"
         if _is_stuck(log):
@@ -95,6 +93,8 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
         return Ended("unknown", None, f"{fingers[1]}, but {seen[1]}")
     held = (fingers or seen)[0]  # type: ignore[index]
     reasons = " and ".join(s[1] for s in (fingers, seen) if s is not None)
+    if log.released_ns is not None:
+        reasons += f", before the hand opens again {after_s:.1f} s after the close"
     confident = (
         P_BOTH
         if fingers is not None and seen is not None
@@ -112,10 +112,11 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
 
 
 def _last_ns(log: TrialLog) -> int:
-    """When the trial ends, by its images and its joint states."""
+    """When the trial ends, by its images and its joint states, or the hand opens again."""
     end_ns = max(log.last_ns, log.limit_ns or 0)
     joints = [s.t_ns for s in log.hand_samples if s.t_ns <= end_ns]
-    return max([log.last_ns, *joints[-1:]])
+    ends_ns = max([log.last_ns, *joints[-1:]])
+    return ends_ns if log.released_ns is None else min(ends_ns, log.released_ns)
 
 
 def empty_fingers(log: TrialLog, hand: DescribedHand, ended: Ended) -> Array | None:
@@ -206,9 +207,11 @@ def _is_signal(log: TrialLog, grip: Grip) -> bool:
 
 
 def _seen_after(
-    robot: RobotStates, hindsight: Hindsight | None, close_ns: int
+    robot: RobotStates, hindsight: Hindsight | None, close_ns: int, released_ns: int | None = None
 ) -> tuple[bool, str] | None:
-    """What registered sightings late in the log show: left on the support, or up with the hand."""
+    """What registered sightings late in the log, and before the hand opens again, show: left on the
+    support, or up with the hand.
+    """
     if hindsight is None or hindsight.support is None:
         return None
     if hindsight.n_registered < MIN_REGISTERED:
@@ -216,7 +219,9 @@ def _seen_after(
     later = [
         s
         for s in hindsight.sightings
-        if s.t_ns > close_ns + 1_500_000_000 and s.by == "registration"
+        if s.t_ns > close_ns + 1_500_000_000
+        and (released_ns is None or s.t_ns < released_ns)
+        and s.by == "registration"
     ]
     if len(later) < 3:
         return None

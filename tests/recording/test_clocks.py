@@ -63,3 +63,37 @@ def test_default_tolerance_is_half_a_period() -> None:
     assert tolerance_ns(np.arange(5) * 33_000_000, SyncConfig()) == 16_500_000
     assert tolerance_ns(np.arange(5) * 10**9, SyncConfig()) == 50_000_000
     assert tolerance_ns(np.arange(5), SyncConfig(tolerance_s=0.01)) == 10_000_000
+
+
+PERIOD_NS = 66_000_000
+
+
+def test_messages_that_a_network_delayed_are_put_in_order() -> None:
+    """Fails where what is logged late is dropped although its stamp is right."""
+    stamps = np.arange(1, 70, dtype=np.int64) * PERIOD_NS
+    delays = np.random.default_rng(0).integers(0, 400_000_000, 69)
+    order = np.argsort(stamps + delays)
+    used, ordinals, faults = clean_stamps(stamps[order], (stamps + delays)[order], 0, 10**12)
+    assert used.tolist() == stamps.tolist()
+    assert order[ordinals].tolist() == list(range(69))
+    assert faults.dropped == 0
+    assert faults.late > 20
+
+
+def test_a_clock_that_is_set_back_is_not_put_in_order() -> None:
+    """Fails where pictures before and after the step are mixed."""
+    log = np.arange(1, 101, dtype=np.int64) * PERIOD_NS
+    stamps = log - np.where(np.arange(100) < 60, 0, 500_000_000)
+    _, ordinals, faults = clean_stamps(stamps, log, 0, 10**12)
+    assert faults.late == 0
+    assert (np.diff(ordinals) > 0).all()
+
+
+def test_one_wrong_stamp_among_right_ones_is_dropped() -> None:
+    """Fails where it is taken for a message that was logged late: nothing is missing there."""
+    log = np.arange(1, 101, dtype=np.int64) * PERIOD_NS
+    stamps = log.copy()
+    stamps[50] -= 5 * PERIOD_NS + 10_000_000
+    _, ordinals, faults = clean_stamps(stamps, log, 0, 10**12)
+    assert (faults.late, faults.backward) == (0, 1)
+    assert 50 not in ordinals

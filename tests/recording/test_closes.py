@@ -208,3 +208,28 @@ def test_fingers_that_tremble_close_when_they_close(monkeypatch: pytest.MonkeyPa
         [(0, 0.5), (2.9, LOW), (3.7, LOW), (4.3, HIGH), (5, HIGH)],
     )
     assert near(found(made), 3.0, 3.7)
+
+
+@pytest.mark.parametrize(
+    ("ends", "released_s"),
+    [
+        ([(4, SHUT), (4.4, OPEN), (5, OPEN)], 4.0),  # put down
+        ([(5, SHUT)], None),
+        ([(4, SHUT), (4.1, 0.05), (5, 0.05)], None),  # gives way a little as it is lifted
+        ([(3.5, OPEN), (4.0, SHUT), (5, SHUT)], None),  # closed again
+    ],
+)
+def test_a_hand_that_opens_again(
+    monkeypatch: pytest.MonkeyPatch, ends: list[Any], released_s: float | None
+) -> None:
+    """Fails where what was put down on purpose was never held."""
+    made = robot(monkeypatch, [(0, OPEN), (2, OPEN), (2.5, SHUT), (3, SHUT), *ends], [(0, LOW)] * 2)
+    times, width = closing_motion._width(made, ("a", "b"), 0, int(LENGTH_S * S))
+    after = times >= 2 * S
+    monkeypatch.setattr(closing_motion, "_width", lambda *_: (times[after], width[after]))
+    found_ns = closing_motion.release_after(made, 2 * S, int(LENGTH_S * S))
+    if released_s is None:
+        assert found_ns is None
+    else:
+        assert found_ns is not None
+        assert abs(found_ns / S - released_s) < 0.06

@@ -507,3 +507,30 @@ def test_fingers_and_sightings_together(
     found = outcome(trial(joints=joints), seen([rise_m] * 3, hand_m))
     assert found.p_success == pytest.approx(expected.p_success)
     assert replace(found, p_success=expected.p_success) == expected
+
+
+@pytest.mark.parametrize(
+    ("released_s", "expected"),
+    [
+        (3.0, ("success", f"{GRIP_SAYS}, before the hand opens again 3.0 s after the close")),
+        (0.9, ("unknown", "the hand opens again 0.9 s after the close")),
+        (None, ("failure", EMPTY_SAYS)),
+    ],
+)
+def test_what_the_hand_put_down_was_held(
+    monkeypatch: pytest.MonkeyPatch, released_s: float | None, expected: tuple[str, str]
+) -> None:
+    """Fails where a pick and place is a failure, as nothing is held at the log's end."""
+    released_ns = None if released_s is None else at(released_s)
+    monkeypatch.setattr("dgeval.verdict.log.release_after", lambda *_: released_ns)
+    held = efforts(0.30, -0.20, 0.0, 0.0, 0.0, last_s=3.0)
+    ended = outcome(trial(joints=[*held, *EMPTY]), None)
+    assert (ended.outcome, ended.evidence) == expected
+
+
+def test_sightings_after_it_was_put_down_say_nothing(
+    monkeypatch: pytest.MonkeyPatch, seen: Seen
+) -> None:
+    monkeypatch.setattr("dgeval.verdict.log.release_after", lambda *_: at(2.05))
+    joints = efforts(0.0, 0.0, last_s=1.0)[:1]
+    assert outcome(trial(joints=joints), seen([0.0] * 3)).outcome == "unknown"
