@@ -36,7 +36,7 @@ from dgeval.recording.joint_checks import joint_faults
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.messages import TF_TYPES
 from dgeval.recording.pairing import Window
-from dgeval.recording.robot import RobotStates
+from dgeval.recording.robot import NAMELESS, RobotStates
 from dgeval.recording.roles import Roles
 from dgeval.recording.scan import Scan
 from dgeval.recording.splits import unread_part
@@ -44,6 +44,10 @@ from dgeval.recording.stamp_checks import stamp_checks
 
 MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
+# of topics that may hold an outcome: words in their names, and their types
+RESULT_WORDS = ("success", "result", "outcome", "failed", "failure", "grasped")
+RESULT_TYPES = {f"std_msgs/msg/{kind}" for kind in ("Bool", "String", "Int32", "UInt8", "Int8")}
+OWN_TOPICS = ("/dgeval/", "/truth/")
 LEAST_POSES = 0.5  # share of the frames that must have a camera pose; ours
 BESIDE_NS = 500_000_000  # ns, by which a command may lie before or after all images; ours
 LONGEST_GAP_S = 1.0  # s, as long as velocity and model are carried on (`estimation`)
@@ -168,10 +172,30 @@ def failed_checks(
     return failed, [text for text in (note, not_quite) if text]
 
 
+def unread_results(scan: Scan) -> list[str]:
+    """A note on topics that may say how the trial ended and are not read; none without."""
+    listed = [
+        f"{name} ({topic.type})"
+        for name, topic in sorted(scan.opened.topics.items())
+        if topic.type in RESULT_TYPES
+        and any(word in name.lower() for word in RESULT_WORDS)
+        and not name.startswith(OWN_TOPICS)
+    ]
+    if not listed:
+        return []
+    what = f"{', '.join(listed)} may say how it ended, and is not read"
+    return [f"{what}; if so: --label success|failure, or label in a manifest"]
+
+
 def _poses(scan: Scan, robot: RobotStates, window: Window) -> list[Check]:
     """Whether the camera's pose is known in most frames, and near the palm that it moves with."""
     if robot.base_frame is None:
-        return []
+        listed = robot.tree.frames()
+        if robot.camera_frame != NAMELESS or NAMELESS in listed or not listed:
+            return []
+        what = "neither the images nor their camera_info have a frame_id: nothing says where the "
+        mend = "record it, or name the camera's optical frame: --set frames.camera=…"
+        return [Check("poses", f"{what}camera is on the robot", mend)]
     failed = []
     times = [p.t_ns for p in window.pairs]
     known = sum(robot.T_base_camera(t) is not None for t in times)
@@ -255,8 +279,8 @@ def event_checks(
     if scan.not_events:
         words = ", ".join(repr(text[:60]) for text in scan.not_events[:MOST_WORDS])
         what = f"{len(scan.not_events)} events are not understood: {words}"
-        kinds = ", ".join(sorted(EVENT_KINDS))
-        failed.append(Check("events", what, f"understood are JSON with {EVENT_KEY!r}, or {kinds}"))
+        mend_words = f"understood are JSON with {EVENT_KEY!r} (its own t_ns in whole ns), or "
+        failed.append(Check("events", what, mend_words + ", ".join(sorted(EVENT_KINDS))))
     known: dict[str, int] = {}
     for event, text in events.labels() if spec.label is None else ():
         label = label_of(text)

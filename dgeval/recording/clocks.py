@@ -150,7 +150,11 @@ def recorder_clock(stamped: dict[str, tuple[Ints, Ints]]) -> RecorderClock | Non
 
     stamped: header stamps and log times by topic.
     """
-    usable = {n: (h, t) for n, (h, t) in stamped.items() if len(h) >= 3 and (h > 0).sum() >= 3}
+    usable = {
+        n: (h, t)
+        for n, (h, t) in stamped.items()
+        if len(h) >= 3 and (h > 0).sum() >= 3 and np.ptp(t) > 0
+    }
     if not usable:
         return None
     apart = {n: float(np.median((t - h)[h > 0])) * 1e-9 for n, (h, t) in usable.items()}

@@ -13,6 +13,7 @@ import numpy as np
 
 from dgeval.recording.closing_motion import (
     BEFORE_LIFT_NS,
+    Inferred,
     NoClose,
     closing_motion,
     lift_after,
@@ -40,6 +41,9 @@ from dgeval.recording.scan import Scan
 CloseSource = Literal["event", "manifest", "command", "joints", "width", "effort"]
 
 STILL_FINGERS = ", and the fingers, whose joint states are recorded, never close"
+# ns after the fingers' rest, from which a mark is late, and after the lift's begin, up to which it
+# is this close's; ours
+LATE_NS, UP_NS = 50_000_000, 1_000_000_000
 MENDS = "mark it with --close TIME, or close_ns in a manifest"
 
 
@@ -50,7 +54,8 @@ class CloseKnown:
     events: with the close, and a lift where the palm shows one. source: None without a close.
     missing: why no close is known; None where one is, or where the hand is known not to have
     closed. note: for the trial's row, "" without. fingers_ns: when the fingers are seen to begin to
-    close; None where that is not seen.
+    close; None where that is not seen. late: in words, why the close is marked too late, "" where
+    it is not.
     """
 
     events: Events
@@ -58,6 +63,7 @@ class CloseKnown:
     missing: str | None
     note: str = ""
     fingers_ns: int | None = None
+    late: str = ""
 
 
 def close_of(
@@ -88,7 +94,8 @@ def close_of(
         still = isinstance(found, NoClose) and found.fingers_seen and found.motion_ns is None
         if still and first_ns <= (events.first_ns(CLOSE_EVENT) or 0) <= last_ns:
             note = "; ".join(filter(None, [note, "a close is marked" + STILL_FINGERS]))
-        return CloseKnown(events, "event", None, note, fingers_ns)
+        late = _marked_late(events.first_ns(CLOSE_EVENT) or 0, found, first_ns)
+        return CloseKnown(events, "event", None, note, fingers_ns, late)
     told = _by_grippers(robot, grippers, first_ns, last_ns, ("command",))
     if told is None and isinstance(found, NoClose) and not found.fingers_seen:
         told = _by_grippers(robot, grippers, first_ns, last_ns, ("width",)) or _by_grippers(
@@ -138,6 +145,19 @@ def close_of(
         f"{_attempts_before(found.earlier_ns, first_ns)}; if that is wrong: {MENDS}"
     )
     return CloseKnown(events, "joints", None, note, fingers_ns)
+
+
+def _marked_late(close_ns: int, found: Inferred | NoClose, first_ns: int) -> str:
+    """In words, that the fingers had closed when the close was marked; "" where they had not."""
+    if isinstance(found, NoClose) or not found.rest_ns + LATE_NS < close_ns < found.lift_ns + UP_NS:
+        return ""
+    marked, began, rested = (
+        (t - first_ns) * 1e-9 for t in (close_ns, found.close_ns, found.rest_ns)
+    )
+    return (
+        f"a close is marked at {marked:+.2f} s, and the fingers close from {began:+.2f} to "
+        f"{rested:+.2f} s"
+    )
 
 
 def _last_attempt(events: Events, first_ns: int) -> tuple[Events, str]:

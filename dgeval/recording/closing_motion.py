@@ -27,7 +27,9 @@ BEFORE_LIFT_NS = 120_000_000
 # m and s: the palm begins to rise within AFTER_S of the fingers' coming to rest, and is up by
 # RISES_M within RISES_S of that; ours
 RISES_M, RISES_S, AFTER_S = 0.05, 1.0, 1.0
-REOPENED = 0.5  # share of the way that a hand closed, by which it has opened again at the end; ours
+# s after the close, when fingers have settled on what they hold; shares of the way that they
+# closed, by which they have opened again at the end, and begin to; ours
+SETTLED_S, REOPENED, BEGINS = (1.0, 1.5), 0.6, 0.1
 RISING_M = 0.005  # m, from which on it is rising
 OVER_NOISE = 3.0  # standard deviations, by which a motion of the fingers stands out; ours
 MOST_HALF = 25  # samples on each side, over which fingers are smoothed at most; ours
@@ -36,9 +38,12 @@ SEEN = 0.9  # share of the trial in which the fingers must be known, to say that
 
 @dataclass(frozen=True)
 class Inferred:
-    """Close and lift, ns, and the period of the joint states, s; closes of earlier attempts, ns."""
+    """Close, when the fingers come to rest, and lift, ns, and the period of the joint states, s;
+    closes of earlier attempts, ns.
+    """
 
     close_ns: int
+    rest_ns: int
     lift_ns: int
     period_s: float
     earlier_ns: tuple[int, ...] = ()
@@ -73,7 +78,7 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
     motions = _closing_motions(times, width)
     if not motions:
         return NoClose(", and the fingers never close", seen)
-    attempts: list[tuple[int, int]] = []  # close and lift, the last first
+    attempts: list[tuple[int, int, int]] = []  # close, rest and lift, the last first
     for k in reversed(range(len(motions))):
         start, end = motions[k]
         while k and start - motions[k - 1][1] < RESTING_NS:
@@ -81,12 +86,12 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
             start = motions[k][0]
         lift = lift_after(robot, start, end, last_ns)
         # motions before one lift are one attempt, of which the last begins it
-        is_new = lift not in [at for _, at in attempts]
+        is_new = lift not in [at for *_, at in attempts]
         if lift is not None and is_new and lift - start >= BEFORE_LIFT_NS:
-            attempts.append((start, lift))
+            attempts.append((start, end, lift))
     if attempts:
         period = float(np.median(np.diff(times))) * 1e-9
-        earlier = tuple(start for start, _ in attempts[:0:-1])
+        earlier = tuple(start for start, *_ in attempts[:0:-1])
         return Inferred(*attempts[0], period, earlier)
     at = (motions[-1][0] - first_ns) * 1e-9
     rises = lift_after(robot, *motions[-1], last_ns) is not None
@@ -118,16 +123,15 @@ def release_after(robot: RobotStates, close_ns: int, last_ns: int) -> int | None
     if len(tips) < 2:
         return None
     times, width = _width(robot, tips, close_ns, last_ns)
-    if len(times) < 20 or float(np.ptp(width)) < LEAST_M:
+    since = (times - close_ns) * 1e-9
+    settled = width[(since >= SETTLED_S[0]) & (since <= SETTLED_S[1])]
+    if len(settled) < 10 or since[-1] < SETTLED_S[1]:
         return None
-    narrowest = int(np.argmin(width))
-    opened = width[narrowest] + REOPENED * (width[0] - width[narrowest])
-    tail = width[-10:]
-    if narrowest < 2 or len(width) - narrowest < 10 or float(np.median(tail)) < opened:
+    held = float(np.median(settled))
+    way = float(width[0]) - held
+    if way < LEAST_M or float(np.median(width[-10:])) - held < REOPENED * way:
         return None
-    later = slice(narrowest, None)
-    motions = _closing_motions(times[later], -width[later])
-    return motions[-1][0] if motions else None
+    return int(times[np.flatnonzero(width <= held + BEGINS * way)[-1]])
 
 
 def _finger_ends(robot: RobotStates) -> tuple[str, ...]:

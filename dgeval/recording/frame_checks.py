@@ -22,6 +22,7 @@ from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.hand_seen import HandOff, hand_off
 from dgeval.recording.pairing import Pair
+from dgeval.recording.robot import states_period_s
 from dgeval.recording.scene_corrections import corrections
 from dgeval.recording.scene_motion import (
     CONTRADICTS,
@@ -39,6 +40,8 @@ MUST_TELL_S = 0.04  # s, from which on a delay fails the check; less is a note; 
 MUST_TELL_M = 0.012  # m, by which the hand is seen off, and fails; less is a note; ours
 HARDLY_A_MOUNT_M = 0.03  # m; farther off is seldom an error of calibration alone; ours
 NAMED_M = 0.002  # m; less along one axis is not named
+# share of the period of the robot's states, below which a delay may come from bridging them; ours
+BRIDGED = 0.5
 NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is that one
 
 
@@ -266,6 +269,11 @@ def _against_pictures(
         f"the camera, by {share:.1%} of its way"
     )
     fitting = corrections(steps, share, reader.robot.T_base_camera)
+    period_s = states_period_s(reader.robot)
+    if any(0.0 < abs(c.later_s) < BRIDGED * period_s for c in fitting):
+        mend = "record the joint states, or /tf, at 50 Hz or more; no setting brings them back"
+        states = f"the robot's states come every {period_s:.2f} s and are bridged in between"
+        return [Check("poses", f"{what}; {states}", mend)], ""
     if fitting:
         found = [_told(reader, is_integer, clock, c) for c in fitting]
         other = ", or ".join(dict.fromkeys(told.fits for told in found))

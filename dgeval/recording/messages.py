@@ -263,6 +263,8 @@ def event_of(text: str, log_ns: int) -> Event:
     if not isinstance(value, dict) or not isinstance(value.get(EVENT_KEY), str):
         raise ValueError(f"not an event: {text[:80]!r}")
     t_ns = value.get(TIME_KEY, log_ns)
+    if isinstance(t_ns, str) and t_ns.strip().isdecimal():  # as JSON writes integers of 64 bits
+        t_ns = int(t_ns)
     if not isinstance(t_ns, int) or isinstance(t_ns, bool):
         raise ValueError(f"t_ns of an event is not a whole number: {text[:80]!r}")
     kind = value[EVENT_KEY].strip().lower()

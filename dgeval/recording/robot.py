@@ -37,6 +37,8 @@ ODOMETRY = "odom"  # where the body of a robot is the top of its tree
 SAME_POSE = 0.005  # m and parts of a quaternion; transforms that differ by less are one; ours
 ONE_OF_THEM = "the last counts; record one of them"
 
+NAMELESS = "camera"  # the frame of images that name none, nor does their camera_info
+
 
 @dataclass
 class JointTrack:
@@ -183,6 +185,18 @@ class RobotStates:
         return out
 
 
+def states_period_s(robot: RobotStates) -> float:
+    """s between the states of what moves the camera, of the slowest; 0 where nothing does."""
+    tree, joints = robot.tree, robot.description.joints if robot.description else {}
+    listed: list[list[int]] = []
+    for frame in tree.ancestors(robot.camera_frame):
+        if frame in tree.moving:
+            listed.append(tree.moving[frame][1].times)
+        elif frame in tree.computed and frame in joints:
+            listed.append(robot.joints.times.get(joints[frame].follows, []))
+    return max((float(np.median(np.diff(t))) * 1e-9 for t in listed if len(t) > 1), default=0.0)
+
+
 def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     """Put tf, pose topics and joint states into one tree; find camera, base and palm in it.
 
@@ -193,7 +207,9 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     notes: list[str] = []
     offset = config.clock.camera_pose.offset_ns
     head = scan.images.get(roles.colour) if roles.colour else None
-    camera = config.frames.camera or (head.frame_id if head else "") or "camera"
+    model = scan.cameras.get(roles.intrinsics) if roles.intrinsics else None
+    named = (head.frame_id if head else "") or (model.frame_id if model else "")
+    camera = config.frames.camera or named or NAMELESS
     counts, mixed = of_camera(
         scan.tf,
         lambda a, b: _contradict(scan.tf[a], scan.tf[b]),
@@ -268,7 +284,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         )
     if base is None and roles.colour is not None:
         known = tree.frames()
-        if known and camera not in known:
+        if known and camera not in known and camera != NAMELESS:
             notes.append(
                 f"the images' frame {camera!r} is in neither /tf nor a description (frames.camera)"
             )

@@ -38,6 +38,11 @@ def stamp_checks(scan: Scan, roles: Roles, window: Window) -> list[Check]:
         what = f"the stamps of {', '.join(cut)} have no fractions of a second above 1 ms"
         mend = "mend the driver: it cuts them, or writes microseconds as nanoseconds; no setting "
         failed.append(Check("stamps", what, mend + "brings them back"))
+    log_ns = scan.times[roles.colour].arrays()[1]
+    if len(log_ns) >= LEAST_STAMPS and np.ptp(log_ns) == 0:
+        what = f"the recorder's times of {roles.colour} are all {int(log_ns[0])} ns: what has no "
+        what += "stamp of its own, as events have none, can't be placed in time"
+        failed.append(Check("stamps", what, "give --close and --label, or record again"))
     for role, faults in sorted(window.stamp_faults.items()):
         topic = getattr(roles, role)
         count = len(scan.times[topic].log_ns)

@@ -13,7 +13,13 @@ from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics
 from dgeval.recording.camera import camera_of
 from dgeval.recording.check import Check
-from dgeval.recording.checks import clock_check, event_checks, failed_checks, part_check
+from dgeval.recording.checks import (
+    clock_check,
+    event_checks,
+    failed_checks,
+    part_check,
+    unread_results,
+)
 from dgeval.recording.closes import CloseKnown, close_of, gripper_tracks
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
@@ -164,6 +170,7 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
         *robot.notes,
         *camera.notes,
         *events.notes(),
+        *([] if spec.label or events.label() else unread_results(scanned)),
         *stamp_notes(window.stamp_faults),
     ]
     grasps, lost = recorded_grasps(scanned), LostFrames(opened.damage)
@@ -173,6 +180,9 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock, close_ns)
     if not spec.parts:
         checks += part_check(spec.recording)
+    if close.late:
+        began = ((close.fingers_ns or first_ns) - first_ns) * 1e-9
+        checks.append(Check("events", close.late, f"if the mark is late: --close {began:+.2f}"))
     checks += event_checks(marked, scanned, window, pairing.colour_ns, spec)
     notes += [*([close.note] if close.note else []), *hints, *(str(c) for c in checks)]
     return Trial(
