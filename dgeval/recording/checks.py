@@ -23,6 +23,7 @@ from dgeval.recording.contract import (
     EVENT_KINDS,
     FAILURE_LABELS,
     LIFT_EVENT,
+    OWN_PREFIXES,
     SUCCESS_LABELS,
     TRIAL_END_EVENT,
     label_of,
@@ -47,7 +48,6 @@ CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 # of topics that may hold an outcome: words in their names, and their types
 RESULT_WORDS = ("success", "result", "outcome", "failed", "failure", "grasped")
 RESULT_TYPES = {f"std_msgs/msg/{kind}" for kind in ("Bool", "String", "Int32", "UInt8", "Int8")}
-OWN_TOPICS = ("/dgeval/", "/truth/")
 LEAST_POSES = 0.5  # share of the frames that must have a camera pose; ours
 BESIDE_NS = 500_000_000  # ns, by which a command may lie before or after all images; ours
 LONGEST_GAP_S = 1.0  # s, as long as velocity and model are carried on (`estimation`)
@@ -179,7 +179,7 @@ def unread_results(scan: Scan) -> list[str]:
         for name, topic in sorted(scan.opened.topics.items())
         if topic.type in RESULT_TYPES
         and any(word in name.lower() for word in RESULT_WORDS)
-        and not name.startswith(OWN_TOPICS)
+        and not name.startswith(OWN_PREFIXES)
     ]
     if not listed:
         return []

@@ -26,6 +26,8 @@ from dgeval.recording.pauses import between_pauses
 from dgeval.recording.splits import split_recordings
 
 SUFFIXES = (".mcap", ".bag", ".db3")
+# behind a recording's name: packed otherwise, or a copy that was not finished; a run names them
+NOT_READ = (".lz4", ".gz", ".xz", ".bz2", ".7z", ".zip", ".part", ".tmp")
 UNFINISHED = ".active"  # behind the name of a bag that its recorder did not finish
 NO_RECORDING = (".rrd", ".parquet", ".json", ".toml", ".yaml", ".py", ".md")
 
@@ -174,7 +176,7 @@ def _is_recording(path: Path) -> bool:
         return (path / "metadata.yaml").is_file() and bool(stored_files(path))
     if path.suffix in SUFFIXES or path.suffixes[-2:] in ([".bag", ".active"],):
         return True
-    if path.suffix in PACKED and Path(path.stem).suffix in SUFFIXES:
+    if path.suffix in (*PACKED, *NOT_READ) and Path(path.stem).suffix in SUFFIXES:
         return True
     if not path.is_file() or path.suffix in NO_RECORDING:
         return False

@@ -118,6 +118,17 @@ def test_a_recording_that_can_not_be_opened_is_named(tmp_path: Path) -> None:
         open_trial(spec, Config())
 
 
+@pytest.mark.parametrize("name", ["a.mcap.lz4", "a.bag.xz", "a.mcap.part"])
+def test_what_is_packed_otherwise_is_named(tmp_path: Path, name: str) -> None:
+    """Catches a recording left out of a day's folder in silence, as its packing is not read."""
+    (tmp_path / name).write_bytes(b"\x04\x22\x4d\x18" + bytes(100))
+    (tmp_path / "a.mcap.md5").write_text("no recording")
+    (spec,) = find_trials([tmp_path])
+    assert spec.id == name
+    with pytest.raises(UnreadableError):
+        open_trial(spec, Config())
+
+
 def test_arm_and_hand_on_topics_of_their_own(
     tmp_path: Path, messages: list[Message], original: list[Any]
 ) -> None:

@@ -170,7 +170,7 @@ def test_workers_get_the_hashes_that_are_known(
     got: list[tuple[str, str | None]] = []
 
     def replayed(spec: TrialSpec, *rest: Any) -> TrialResult:
-        got.append((spec.id, rest[-1]))
+        got.append((spec.id, rest[5]))
         return TrialResult(spec.id, None, 0, [], None)
 
     monkeypatch.setattr(workers, "replay_trial", replayed)
