@@ -37,6 +37,7 @@ ODOMETRY = "odom"  # where the body of a robot is the top of its tree
 SAME_POSE = 0.005  # m and parts of a quaternion; transforms that differ by less are one; ours
 ONE_OF_THEM = "the last counts; record one of them"
 
+MOVES = 1e-6  # m, and of a quaternion, by which a recorded transform moves
 NAMELESS = "camera"  # the frame of images that name none, nor does their camera_info
 
 
@@ -191,7 +192,9 @@ def states_period_s(robot: RobotStates) -> float:
     listed: list[list[int]] = []
     for frame in tree.ancestors(robot.camera_frame):
         if frame in tree.moving:
-            listed.append(tree.moving[frame][1].times)
+            track = tree.moving[frame][1]
+            if float(np.ptp(track.poses, axis=0).max()) > MOVES:  # a mount may be on /tf too
+                listed.append(track.times)
         elif frame in tree.computed and frame in joints:
             listed.append(robot.joints.times.get(joints[frame].follows, []))
     return max((float(np.median(np.diff(t))) * 1e-9 for t in listed if len(t) > 1), default=0.0)

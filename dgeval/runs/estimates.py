@@ -25,7 +25,6 @@ from dgeval.worlds.closing import CONTROL_S
 FILE = "estimates.json"
 DIGITS = 6  # behind the point, of rad and m
 LEAST_ALIKE = 2  # trials that must come to rest alike, to be said to have closed on nothing; ours
-
 Floats = list[FiniteFloat]
 
 

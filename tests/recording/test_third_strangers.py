@@ -5,11 +5,15 @@ from __future__ import annotations
 import copy
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.messages import event_of
+from dgeval.recording.robot import states_period_s
+from dgeval.recording.transforms import TransformTree
 from dgeval.recording.trials import Trial
 from tests.recording.recorders import (
     COLOUR,
@@ -107,6 +111,18 @@ def test_states_twice_a_second_are_no_late_pictures(
     trial = opened(write(tmp_path / "a.mcap", listed))
     assert names(trial) == ["poses"]
     assert "clock" not in trial.checks[0].mend
+
+
+def test_a_mount_that_is_published_seldom_is_no_state() -> None:
+    """Fails where pictures that are late are blamed on a transform that never changes."""
+    tree = TransformTree(500_000_000)
+    still, moved = np.array([0, 0, 0.1, 0, 0, 0, 1.0]), np.array([0, 0, 0.2, 0, 0, 0, 1.0])
+    for k in range(5):
+        tree.add_moving(k * S, "hand", "camera", still)
+    for k in range(50):
+        tree.add_moving(k * S // 50, "base", "hand", moved if k % 2 else still)
+    robot: Any = SimpleNamespace(tree=tree, camera_frame="camera", description=None)
+    assert states_period_s(robot) == pytest.approx(0.02)
 
 
 def test_an_events_own_time_may_be_a_string() -> None:
