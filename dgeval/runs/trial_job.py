@@ -226,10 +226,9 @@ def _replay_trial(
         write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
     row, exit_code, messages = trial_row(
-        trial, config, counts, t_execute_ns, last_ns, judgement, target, seen
+        trial, config, counts, t_execute_ns, last_ns, judgement, target, seen, estimates
     )
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
-    row["estimates"] = None if estimates is None else estimates.sha256
     shown = None if judgement.shown is None else shown_as_json(judgement.shown)
     kept = {
         "key": key,
@@ -252,11 +251,13 @@ def trial_row(
     judgement: Judgement,
     target: FoundTarget | None = None,
     seen: FirstSeen | None = None,
+    estimates: Estimates | None = None,
 ) -> tuple[dict[str, Any], int, list[str]]:
     """The trial's row without its digests, the exit code, and messages for the user.
 
     t_execute_ns: time of the first frame in which the replay would have closed. last_ns: time of
     the last frame. target: as it was found, where no box was given. seen: where it was first seen.
+    estimates: as given to the run.
     """
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
@@ -295,6 +296,7 @@ def trial_row(
         "cause_given": spec.cause,
         "t_decisive_ns": judgement.decisive_ns,
         "contact_link": judgement.link,
+        "estimates": None if estimates is None else estimates.sha256,
         "notes": "; ".join(
             [
                 *trial_notes(trial, config, counts),

@@ -26,6 +26,7 @@ from dgeval.replay.notes import FrameCounts
 from dgeval.replay.row import pose_columns, row_of
 from dgeval.runs.trial_job import trial_row
 from dgeval.schema import FRAMES, FRAMES_ADDED, TRIALS, UNFILLED, StageDigests
+from dgeval.verdict.estimates import Estimates
 from dgeval.verdict.judge import Judgement, VerdictRow
 from tests.verdict.synthetic_trial import trial_of
 
@@ -100,7 +101,9 @@ def test_every_trial_column_is_filled_or_left_to_a_named_issue() -> None:
         "a", trial.spec.recording, 1, 2, object="mug", scenario="s", speed=0.1, cause="timing"
     )
     trial = replace(trial, spec=spec)
-    row, _, _ = trial_row(trial, load_config("dynamic", ()), FrameCounts(), 2, 3, judgement)
+    given = Estimates({}, "x")
+    counts, config = FrameCounts(), load_config("dynamic", ())
+    row, _, _ = trial_row(trial, config, counts, 2, 3, judgement, estimates=given)
     row |= {f"digest_{stage}": value for stage, value in StageDigests().hexdigests().items()}
     names = {c.name for c in TRIALS}
     assert set(filled(row)) == names - UNFILLED.keys()
