@@ -1254,6 +1254,30 @@ MUTANTS = [
         "if False:",
         "tests/verdict/test_outcome.py",
     ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        "return ends_ns if log.released_ns is None else min(ends_ns, log.released_ns)",
+        "return ends_ns",
+        "tests/verdict/test_outcome.py",
+    ),
+    Mutant(
+        "dgeval/recording/clocks.py",
+        "return [i for i in out if alone[int(stamps[i])]]",
+        "return out",
+        "tests/recording/test_clocks.py",
+    ),
+    Mutant(
+        "dgeval/recording/clocks.py",
+        "if not least or max(least) - min(least) > same_s:",
+        "if not least:",
+        "tests/recording/test_clocks.py",
+    ),
+    Mutant(
+        "dgeval/recording/closes.py",
+        "if isinstance(found, NoClose) or not found.rest_ns + LATE_NS < close_ns",
+        "if isinstance(found, NoClose) or not found.lift_ns + UP_NS < close_ns",
+        "tests/recording/test_third_strangers.py",
+    ),
 ]
 
 
