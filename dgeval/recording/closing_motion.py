@@ -185,11 +185,11 @@ def _closing_motions(times: NDArray[np.int64], width: Array) -> list[tuple[int, 
     noise = _noise(width)
     half = _half_window(noise, least)
     kernel = np.ones(2 * half + 1) / (2 * half + 1)
-    smooth = np.convolve(np.pad(width, half, mode="edge"), kernel, mode="valid")
+    over = np.pad(width, half, mode="edge")
+    smooth = np.convolve(over, kernel, mode="valid")
     rate = np.gradient(smooth, times * 1e-9)
     if half > 1:  # of a line through the window, which noise moves least
         steps = np.arange(half, -half - 1, -1)
-        over = np.pad(width, half, mode="edge")
         rate = np.convolve(over, steps / (steps @ steps), mode="valid") / (STEP_NS * 1e-9)
     closing = rate < -least
     out: list[tuple[int, int]] = []

@@ -60,11 +60,11 @@ def recorded_closing(
     if len(path) < REST_TICKS:
         return None
     rest = np.median(path[-REST_TICKS:], axis=0)
-    moved = np.abs(rest - before) > LEAST_MOVED * hand.geometry.spans
+    least = LEAST_MOVED * hand.geometry.spans
+    moved = np.abs(rest - before) > least
     if not moved.any():
         return None
     q = np.vstack([before, path])  # by period
-    least = LEAST_MOVED * hand.geometry.spans
     stands = np.array([_first_stands(q[:, k], least[k]) for k in range(len(before))])
     stopped = _may_be_stopped(hand, q[stands, np.arange(len(before))], points)
     settled = np.abs(_without_outliers(q) - rest) <= SETTLED * np.abs(rest - before)

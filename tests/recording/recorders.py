@@ -70,6 +70,11 @@ def opened(path: Path, *settings: str) -> Trial:
     return open_trial(find_trials([path])[0], config)
 
 
+def names(trial: Trial) -> list[str]:
+    """Of the checks that fail."""
+    return [check.name for check in trial.checks]
+
+
 def contents(trial: Trial, every: int = 8) -> list[tuple[Any, ...]]:
     """Stamp, sums of the pixels and camera pose of some frames."""
     return [

@@ -13,10 +13,20 @@ from dgeval.recording.contract import CLOSE_EVENT, LABEL_EVENT
 from dgeval.recording.found_config import found_config
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.messages import event_of
-from dgeval.recording.trials import Trial, open_trial
+from dgeval.recording.trials import open_trial
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.recording.recorders import COLOUR, DEPTH, EVENTS, JOINTS, TYPES, Message, opened, write
+from tests.recording.recorders import (
+    COLOUR,
+    DEPTH,
+    EVENTS,
+    JOINTS,
+    TYPES,
+    Message,
+    names,
+    opened,
+    write,
+)
 
 STRING = "std_msgs/msg/String"
 
@@ -129,10 +139,6 @@ def shifted(messages: list[Message], topics: tuple[str, ...], after_s: float, by
             value.header.stamp.sec, value.header.stamp.nanosec = t // 10**9, t % 10**9
         out.append([*m[:3], value])
     return out
-
-
-def names(trial: Trial) -> list[str]:
-    return [c.name for c in trial.checks]
 
 
 def test_a_clock_that_is_set_forward_fails_a_check(tmp_path: Path, messages: list[Message]) -> None:

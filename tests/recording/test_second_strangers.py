@@ -28,6 +28,7 @@ from tests.recording.recorders import (
     TYPES,
     Message,
     image,
+    names,
     opened,
     write,
 )
@@ -35,10 +36,6 @@ from tests.recording.test_pauses import twice
 
 STRING = "std_msgs/msg/String"
 DESCRIPTION = "/robot_description"
-
-
-def names(trial: Trial) -> list[str]:
-    return [check.name for check in trial.checks]
 
 
 def said(trial: Trial) -> str:

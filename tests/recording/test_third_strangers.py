@@ -14,7 +14,6 @@ from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.messages import event_of
 from dgeval.recording.robot import states_period_s
 from dgeval.recording.transforms import TransformTree
-from dgeval.recording.trials import Trial
 from tests.recording.recorders import (
     COLOUR,
     DEPTH,
@@ -24,16 +23,13 @@ from tests.recording.recorders import (
     TYPES,
     Message,
     contents,
+    names,
     opened,
     write,
 )
 
 STRING, BOOL = "std_msgs/msg/String", "std_msgs/msg/Bool"
 S = 1_000_000_000
-
-
-def names(trial: Trial) -> list[str]:
-    return [check.name for check in trial.checks]
 
 
 def without_frame(messages: list[Message], topics: tuple[str, ...]) -> list[Message]:

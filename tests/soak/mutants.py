@@ -408,8 +408,8 @@ MUTANTS = [
     ),
     Mutant(
         DRAWS,
-        "if k == 0:",
-        "if k == 1:",
+        "if k == 0:  # the first",
+        "if k == 1:  # the first",
         f"{TEST_DECIDE}::test_the_first_draw_is_the_best_guess_and_the_others_are_repeatable",
     ),
     Mutant(
@@ -537,8 +537,8 @@ MUTANTS = [
     # how it ended, and the picture
     Mutant(
         OUTCOME,
-        "* 1e-9 < AFTER_S:",
-        "* 1e-9 <= AFTER_S:",
+        "if after_s < AFTER_S:",
+        "if after_s <= AFTER_S:",
         f"{TEST_OUTCOME}::test_from_one_second_on_the_fingers_are_at_rest",
     ),
     Mutant(
