@@ -30,6 +30,7 @@ ANY_FORCE_N = LEAST_FORCE_N, MOST_FORCE_N = 3.0, 60.0  # N; grippers on the mark
 # of a finger joint: position error, rad and m, at which its drive gives all its force; ours
 ALL_FORCE_RAD, ALL_FORCE_M = 0.3, 0.010
 KV = 0.05  # s, of a drive's velocity gain against its position gain; as the known hands' drives
+DAMPING = 0.025, 20.0  # of a joint that turns, Nm s/rad, and slides, N s/m; as the known hands'
 MISMATCH_RAD, MISMATCH_M = 0.03, 0.002  # as of the known hands
 CLOSE_S = 0.5  # s, in which a hand closes whose own time is not known; ours
 LINK_KG, LINK_KGM2 = 0.03, 2e-5  # of a finger's link: small, so that its drive moves it; ours
@@ -66,6 +67,15 @@ class DescribedHand(Hand):
         usual = FORCE_N * self.geometry.levers
         efforts = [joint.effort for joint in self.geometry.joints]
         return np.asarray(np.minimum(factor * usual, efforts) / np.minimum(usual, efforts))
+
+    @property
+    def lags_s(self) -> Array:
+        """(k,) s, by which a joint that nothing meets follows the target of its drive too late."""
+        joints = self.geometry.joints
+        forces = np.minimum(FORCE_N * self.geometry.levers, [joint.effort for joint in joints])
+        lost = [DAMPING[joint.kind == "prismatic"] for joint in joints]
+        reach = [ALL_FORCE_M if joint.kind == "prismatic" else ALL_FORCE_RAD for joint in joints]
+        return np.asarray(KV + np.array(lost) * np.array(reach) / forces)
 
     def link_of(self, solid: str) -> str:
         """The link of one of its solids, by the solid's name, as `add_hand` gives it."""
@@ -171,7 +181,7 @@ def _add_joint(spec: mujoco.MjSpec, body: mujoco.MjsBody, joint: Joint, force: f
         axis=joint.axis,
         range=[joint.lower, joint.upper] if limited else [0, 0],
         limited=limited,
-        damping=20.0 if slides else 0.025,  # N s/m, Nm s/rad; as the known hands'
+        damping=DAMPING[slides],
         armature=0.1 if slides else 1.5e-4,  # kg, kg m^2; as the known hands'
     )
     force = min(force, joint.effort)

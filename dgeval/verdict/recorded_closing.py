@@ -27,6 +27,7 @@ REST_TICKS = 10  # control periods, over which it is told whether a joint stands
 STANDS = 0.1
 SETTLED = 0.01  # share of its way, within which a joint is where it comes to rest; ours
 BESIDE_M = 0.010  # m; a finger so near to the object may have been stopped; ours
+TOGETHER_TICKS = 5  # control periods, within which fingers come to rest together; ours
 LEAST_MOVED = 0.02  # share of a joint's range, or rad and m, by which it moves if it closes at all
 
 
@@ -67,6 +68,9 @@ def recorded_closing(
     q = np.vstack([before, path])  # by period
     stands = np.array([_first_stands(q[:, k], least[k]) for k in range(len(before))])
     stopped = _may_be_stopped(hand, q[stands, np.arange(len(before))], points)
+    if (free := moved & ~stopped).any():
+        # fingers that end with those that nothing is beside end where they were sent
+        stopped &= stands < stands[free].max() - TOGETHER_TICKS
     settled = np.abs(_without_outliers(q) - rest) <= SETTLED * np.abs(rest - before)
     rests = [int(np.flatnonzero(~settled[:, k])[-1]) + 2 for k in np.flatnonzero(moved)]
     ends = np.where(stopped[moved], stands[moved], rests)
@@ -118,7 +122,7 @@ def closing_as(
         centre=geometry.meeting(np.where(np.isfinite(end), end, closing.way[-1])),
         close_s=closing.lasts_s,
         lift_after_s=closing.lasts_s + SETTLE_S,
-        targets=partial(_along, closing, lower, upper),
+        targets=partial(_along, closing, lower, upper, hand.lags_s),
         closing_source=source,
     )
 
@@ -154,15 +158,25 @@ def _at_pace(
 
 
 def _along(
-    closing: Closing, lower: Array, upper: Array, since_close: float, preshape: Array
+    closing: Closing,
+    lower: Array,
+    upper: Array,
+    lags: Array,
+    since_close: float,
+    preshape: Array,
 ) -> Array:
-    """Targets (k,) of the drives a time, s, after the close command, from where they were."""
+    """Targets (k,) of the drives a time, s, after the close command, from where they were.
+
+    lags (k,) s: by which each drive follows its target too late. Its target is so far ahead, so
+    that the joints themselves move as recorded.
+    """
     before, way, speeds = closing.before, closing.way, closing.speeds
-    tick = since_close / CONTROL_S
-    k = int(tick)
-    if k >= len(way):
-        at = way[-1] + speeds * (tick - len(way))
-    else:
-        first = before if k == 0 else way[k - 1]
-        at = first + (tick - k) * (way[k] - first)
+    path = np.vstack([before, way])
+    ticks = (since_close + lags) / CONTROL_S
+    last = len(way)
+    k = np.minimum(ticks.astype(int), last - 1)
+    joints = np.arange(len(before))
+    first = path[k, joints]
+    at = first + np.minimum(ticks - k, 1.0) * (path[k + 1, joints] - first)
+    at = at + speeds * np.maximum(ticks - last, 0.0)
     return np.asarray(np.clip(preshape + at - before, lower, upper))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 from dgeval.geometry import Array
@@ -134,6 +135,11 @@ def moved_as_recorded(
     return hand if closing is None else closing_as(hand, closing, "recorded")
 
 
+def joints_after(hand: DescribedHand, since_s: float) -> Array:
+    """(2,) m, where its drives make the jaws be: their targets are ahead of them."""
+    return hand.targets(since_s - hand.lags_s[0], np.full(2, OPEN))
+
+
 NOTHING = np.zeros((0, 3))
 BETWEEN = np.array([[0.0, y, 0.1] for y in (-0.015, 0.0, 0.015)])  # what the jaws rest on, m
 
@@ -143,14 +149,14 @@ def test_a_width_that_was_commanded_is_a_limit_of_the_trial() -> None:
     hand = moved_as_recorded(gripper(), np.full(2, OPEN), path(0.015), NOTHING)
     assert hand.closing_source == "recorded"
     assert hand.targets(10.0, np.full(2, OPEN)) == pytest.approx([0.015, 0.015])
-    assert hand.targets(0.1, np.full(2, OPEN)) == pytest.approx([0.03, 0.03])
+    assert joints_after(hand, 0.1) == pytest.approx([0.03, 0.03])
 
 
 def test_jaws_that_something_may_have_stopped_go_on() -> None:
     """Fails where a missed close is tried with jaws that stop at the size of another object."""
     hand = moved_as_recorded(gripper(), np.full(2, OPEN), path(0.015), BETWEEN)
-    assert hand.targets(0.1, np.full(2, OPEN)) == pytest.approx([0.03, 0.03])
-    assert hand.targets(0.3, np.full(2, OPEN)) == pytest.approx([0.01, 0.01], abs=1e-3)
+    assert joints_after(hand, 0.1) == pytest.approx([0.03, 0.03])
+    assert joints_after(hand, 0.3) == pytest.approx([0.01, 0.01], abs=1e-3)
     assert hand.targets(10.0, np.full(2, OPEN)) == pytest.approx([0.0, 0.0])
     assert hand.centre[2] == pytest.approx(0.10, abs=1e-6)
 
@@ -186,6 +192,36 @@ def test_jaws_that_snap_shut_when_the_object_slips_out() -> None:
     slipped = path(0.015) + np.random.default_rng(0).normal(0, 5e-5, (299, 2))
     slipped[80:] = 0.0
     hand = moved_as_recorded(gripper(), np.full(2, OPEN), slipped, BETWEEN)
-    assert hand.targets(0.1, np.full(2, OPEN)) == pytest.approx([0.03, 0.03], abs=3e-4)
-    assert hand.targets(0.35, np.full(2, OPEN)) == pytest.approx([0.005, 0.005], abs=1e-3)
+    assert joints_after(hand, 0.1) == pytest.approx([0.03, 0.03], abs=3e-4)
+    assert joints_after(hand, 0.35) == pytest.approx([0.005, 0.005], abs=1e-3)
     assert hand.close_s == pytest.approx((OPEN - 0.015) / SPEED, abs=0.03)
+
+
+def test_free_jaws_move_in_physics_as_recorded() -> None:
+    """Fails where drives that follow late make the twin's fingers late: by 6 mm here."""
+    hand = moved_as_recorded(gripper(), np.full(2, OPEN), path(0.015), NOTHING)
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    hand.add(spec, spec.worldbody.add_body(name="base"))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = OPEN
+    for k, recorded in enumerate(path(0.015)[:40]):
+        data.ctrl[:] = hand.targets(k * PERIOD_S, np.full(2, OPEN))
+        mujoco.mj_step(model, data, round(PERIOD_S / model.opt.timestep))
+        assert data.qpos == pytest.approx(recorded, abs=2.5e-3)
+
+
+BESIDE_ONE = np.array([[0.0, 0.015, 0.1]])  # beside one jaw, 30 mm from the other
+
+
+def test_a_finger_that_ends_with_the_free_ones_was_not_stopped() -> None:
+    """Fails where fingers of an empty close go on, as something they did not touch was near."""
+    hand = moved_as_recorded(gripper(), np.full(2, OPEN), path(0.015), BESIDE_ONE)
+    at = np.full(2, 0.015)
+    assert hand.targets(10.0, np.full(2, OPEN)) == pytest.approx(at)
+    near = int(np.argmin(np.linalg.norm(gripper().geometry.tips_at(at) - BESIDE_ONE, axis=1)))
+    earlier = path(0.0)
+    earlier[:, near] = path(0.015)[:, 0]
+    hand = moved_as_recorded(gripper(), np.full(2, OPEN), earlier, BESIDE_ONE)
+    assert hand.targets(10.0, np.full(2, OPEN)) == pytest.approx([0.0, 0.0])
