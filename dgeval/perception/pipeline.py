@@ -13,6 +13,7 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.determinism import generator
 from dgeval.geometry import Array, Box, invert, orthonormalise, transform
+from dgeval.perception.depth_noise import DepthNoise
 from dgeval.perception.estimation import Estimate, VelocityFilter
 from dgeval.perception.fusion import Fusion
 from dgeval.perception.observation import observe
@@ -71,6 +72,7 @@ class Perception:
         self.tracker = tracker_named(self.config.tracking.method).TRACKER(self.config)
         self.fusion = Fusion(self.config.fusion)
         self.velocity = VelocityFilter(self.config.estimation)
+        self.noise = DepthNoise()
         self.T_camera_model: Array | None = None
         self.T_prior: Array | None = None
         self.T_accepted: Array | None = None
@@ -102,6 +104,7 @@ class Perception:
         to time it.
         """
         config = self.config
+        self.noise.see(frame, T_base_camera)
         predicted = self.predict(frame, T_base_camera)
         tracked = self.tracker.step(
             TrackingInput(
@@ -151,7 +154,13 @@ def _register(
         return None
     start = tracked.T_camera_model if tracked.T_camera_model is not None else predicted
     result = register(
-        observation, state.fusion.model, start, tracked.features, frame.camera, config.registration
+        observation,
+        state.fusion.model,
+        start,
+        tracked.features,
+        frame.camera,
+        config.registration,
+        state.noise,
     )
     assert state.T_accepted is not None
     seconds = (frame.t_ns - state.accepted_ns) * 1e-9

@@ -17,9 +17,13 @@ from dgeval.config import RegistrationConfig
 from dgeval.errors import MissingDependencyError
 from dgeval.geometry import Array, Intrinsics, depth_sigma, invert, rotation_angle, transform
 from dgeval.perception import align
+from dgeval.perception.depth_noise import DepthNoise
 from dgeval.perception.neighbours import nearest
 from dgeval.perception.types import Features, Model, Observation, Registration
 
+SPACED = 300  # points of a model whose spacing is measured
+# times its median, within which nearly all points of a random surface have a neighbour
+APART = 2.5
 # (source (n, 3) m, target, T_model_camera to start from, configuration) -> T_model_camera
 Backend = Callable[[Array, Model, Array, RegistrationConfig], Array]
 
@@ -136,12 +140,14 @@ def register(
     features: Features | None,
     camera: Intrinsics,
     config: RegistrationConfig,
+    noise: DepthNoise | None = None,
 ) -> Registration:
     """Register P_t to Q_{t-1} from a starting pose, refine with image features, measure the fit.
 
     The gate is not applied. Fitness: share of P_t with a model point within the search radius.
-    Gate fitness: share with one within max(gate_distance, 2 sigma_z(z)) m. rmse: m, over the points
-    that count for the fitness.
+    Gate fitness: share with one within max(gate_distance, 2 sigma(z)) m along its normal, and no
+    farther beside it than the model's points are apart. noise: of this recording's depth, else the
+    sensor model's. rmse: m, over the points that count for the fitness.
     """
     T = BACKENDS[config.method](observation.points, model, invert(T_camera_model), config)
     if not np.isfinite(T).all():
@@ -149,11 +155,23 @@ def register(
     T = invert(np.asarray(T, dtype=np.float64))
     tree = KdTree(model.points, num_threads=1)
     T = _refine(T, observation, model, tree, features if config.colour else None, camera, config)
-    _, distance = nearest(tree, transform(invert(T), observation.points))
+    points = transform(invert(T), observation.points)
+    index, distance = nearest(tree, points)
     matched = distance < config.search_radius
-    limit = np.maximum(config.gate_distance, 2 * depth_sigma(observation.points[:, 2]))
+    z = observation.points[:, 2]
+    limit = np.maximum(config.gate_distance, 2 * (noise or DepthNoise()).sigma(z))
+    along = np.abs(np.einsum("ij,ij->i", points - model.points[index], model.normals[index]))
+    beside = np.sqrt(np.maximum(distance**2 - along**2, 0.0))
+    close = (along < limit) & (beside < max(config.gate_distance, APART * spacing(model, tree)))
     rmse = float(np.sqrt(np.mean(distance[matched] ** 2))) if matched.any() else None
-    return Registration(T, float(matched.mean()), float((distance < limit).mean()), rmse, None)
+    return Registration(T, float(matched.mean()), float(close.mean()), rmse, None)
+
+
+def spacing(model: Model, tree: KdTree) -> float:
+    """m, how far the points of a model are apart: the median to the nearest other one."""
+    some = model.points[:: max(1, len(model.points) // SPACED)]
+    _, squared = tree.batch_knn_search(some, 2, num_threads=1)
+    return float(np.sqrt(np.median(np.asarray(squared)[:, 1])))
 
 
 def _refine(

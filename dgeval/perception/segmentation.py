@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 # m; neighbouring pixels with a larger difference of depth (and over 1 % of the range) lie on
 # different surfaces
 DEPTH_STEP = 0.015
+IN_FRONT_M = 0.025  # m, by which something that hides the target is nearer than it
+LEAST_HIDDEN = 0.1  # share of its silhouette, from which on the target's box is that of the rest
 
 
 def grow(box: Box, share: float, pixels: float, camera: Intrinsics) -> Window:
@@ -174,8 +176,10 @@ def segment_model(
     points: Array,
     camera: Intrinsics,
     reach: int,
-) -> Mask:
+) -> tuple[Mask, NDArray[np.float32]]:
     """The target's pixels (h, w): near the silhouette of its model and close to it in depth.
+
+    Also the depth (h, w) m of the model's near side, 0 beside its silhouette.
 
     points (n, 3) m: the model's, camera frame. reach: px beyond the silhouette; pixels there must
     be connected to it.
@@ -207,7 +211,48 @@ def segment_model(
         linked = hits > 0.25 * size
         linked[0] = False
         band &= linked[labels]
-    return without_strays(core | band, depth > 0)
+    return without_strays(core | band, depth > 0), front
+
+
+def seen_part(
+    box: Box,
+    window: Window,
+    front: NDArray[np.float32],
+    depth: NDArray[np.float32],
+    unlike: Mask,
+) -> tuple[Box, float]:
+    """The box px of what is seen of the target, and the share of it that is hidden.
+
+    Hidden is what something nearer, or of another colour, is in front of; while that is next to
+    nothing, or all, the box stays. front (h, w) m: the model's near side in a window, 0 beside it.
+    unlike (h, w): pixels that don't have its colours.
+    """
+    silhouette = front > 0
+    hidden = silhouette & (((depth > 0) & (depth < front - IN_FRONT_M)) | unlike)
+    share = float(hidden.sum() / max(1, int(silhouette.sum())))
+    seen = cv2.morphologyEx(
+        (silhouette & ~hidden).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)
+    )
+    if share < LEAST_HIDDEN or not seen.any():
+        return box, share
+    x0, y0, x1, y1 = extent(seen > 0, window)
+    return (
+        max(box[0], x0 - 1),
+        max(box[1], y0 - 1),
+        min(box[2], x1 + 1),
+        min(box[3], y1 + 1),
+    ), share
+
+
+def extent(mask: Mask, window: Window) -> Box:
+    """Box px, in the image, of the pixels of a window's mask."""
+    v, u = np.nonzero(mask)
+    return (
+        float(u.min() + window[0]),
+        float(v.min() + window[1]),
+        float(u.max() + 1 + window[0]),
+        float(v.max() + 1 + window[1]),
+    )
 
 
 def without_strays(mask: Mask, valid: Mask) -> Mask:

@@ -16,7 +16,9 @@ from dgeval.config import Config
 from dgeval.determinism import generator
 from dgeval.geometry import Array, Box, Intrinsics, depth_sigma, invert, rotation_angle, transform
 from dgeval.perception import align, segmentation
+from dgeval.perception.appearance import Appearance
 from dgeval.perception.plane import Plane
+from dgeval.perception.redetection import look_alikes, put_at
 from dgeval.perception.self_filter import hand_pixels
 from dgeval.perception.trackers.image import Grey, ImageTrack, corners, follow
 from dgeval.perception.types import Features, Model, Tracked, Window
@@ -31,6 +33,9 @@ BASE_HEIGHT = 0.012  # m; model points lower than this above the plane belong to
 # a model is started if the pixels with depth cover at least these shares of the box: by the overlap
 # of their extent with it, and by area
 MIN_COVER, MIN_FILL = 0.5, 0.2
+NEAREST_M = 0.1  # m, at which a target without depth is, at least
+LEAST_SHARED = 0.2  # overlap of the box of what was found and that of the model put there
+LEARNT_AGREE = 0.8  # share of agreeing depth from which on a mask shows what the target looks like
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +107,10 @@ class ModelTracker:
         self._n_accepted = 0
         self._rim: tuple[Array, float] | None = None
         self._plane_model: Plane | None = None
+        self._appearance = Appearance()
+        self._area_m2 = 0.0
+        self._agree = 0.0
+        self._hidden = 0.0
 
     def step(self, given: TrackingInput) -> Tracked:
         """The target's box, mask, pose and features in the next frame."""
@@ -119,8 +128,11 @@ class ModelTracker:
             self._keep_keyframe(given.T_previous, frame.camera)
             self._learn_rim(given.model, given.T_previous, frame.camera)
         tracked = self._follow_model(frame, grey, given.model, given.T_predicted)
+        if tracked.state == "lost":
+            tracked = self._search(frame, grey, given.model, given.T_predicted, tracked)
         if tracked.state == "tracked":
             self._lost_since = None
+            self._learn(frame, tracked)
         elif self._lost_since is None:
             self._lost_since = frame.t_ns
         return tracked
@@ -147,6 +159,8 @@ class ModelTracker:
         window, mask, plane, depth = segmented
         self._last_frame = _LastFrame(grey, window, mask, depth)
         self._model_start = _ModelStart(box, plane)
+        self._appearance.start(frame.colour, box, window, mask, frame.camera)
+        self._area_m2 = _area(mask, depth, frame.camera)
         return Tracked(
             "tracked", self._inside(box, frame.camera), window, mask, int(mask.sum()), plane=plane
         )
@@ -163,7 +177,7 @@ class ModelTracker:
             return None
         area = (box[2] - box[0]) * (box[3] - box[1])
         filled = int((segmentation.fill(mask.astype(np.float32), 5) > 0).sum())
-        if _overlap(_extent(mask, window), box) < MIN_COVER or filled < MIN_FILL * area:
+        if _overlap(segmentation.extent(mask, window), box) < MIN_COVER or filled < MIN_FILL * area:
             return None  # a patch of depth in the box is not the object in it
         return window, mask, plane, depth
 
@@ -220,9 +234,21 @@ class ModelTracker:
 
     # the model
 
-    def _follow_model(self, frame: Frame, grey: Grey, model: Model, T_predicted: Array) -> Tracked:
+    def _follow_model(
+        self,
+        frame: Frame,
+        grey: Grey,
+        model: Model,
+        T_predicted: Array,
+        searched: bool = False,
+    ) -> Tracked:
+        """searched: the pose is not predicted, but that of something found."""
         c = self.config.tracking
-        if self._lost_since is not None and frame.t_ns - self._lost_since > c.reacquire_s * 1e9:
+        if (
+            not searched
+            and self._lost_since is not None
+            and frame.t_ns - self._lost_since > c.reacquire_s * 1e9
+        ):
             return Tracked("lost")
         guess = self._with_rim(
             projected_box(model.points[::4], T_predicted, frame.camera, None), model, T_predicted
@@ -236,9 +262,11 @@ class ModelTracker:
             plane = self._plane_model.moved(T_predicted)
             depth, free = self._crop(frame, window, plane)
         features = self._follow_features(grey, window, T_predicted, frame.camera)
+        free &= ~self._appearance.unlike(frame.colour, window)
         T, agree, n_depth, n_features = self._align(
             depth, window, free, model, features, T_predicted, frame.camera
         )
+        self._agree = agree
         needed = c.min_agree if self._lost_since is None else 0.5 * (1 + c.min_agree)
         by_depth = n_depth >= self.config.observation.min_points and agree >= needed
         by_colour = n_features >= 2 * c.min_corners
@@ -257,7 +285,11 @@ class ModelTracker:
         points = transform(T, model.points)
         window = segmentation.grow(box, 0.15, 8, frame.camera)
         depth, free = self._crop(frame, window, plane)
-        mask = segmentation.segment_model(depth, window, free, points, frame.camera, GROWTH_PX)
+        unlike = self._appearance.unlike(frame.colour, window)
+        mask, front = segmentation.segment_model(
+            depth, window, free & ~unlike, points, frame.camera, GROWTH_PX
+        )
+        box, self._hidden = segmentation.seen_part(box, window, front, depth, unlike)
         self._last_frame = _LastFrame(grey, window, mask, depth)
         if plane is not None:
             self._plane_model = plane.moved(invert(T))
@@ -338,6 +370,42 @@ class ModelTracker:
             ):
                 break
         return T, agree, n_depth, n_features
+
+    # what it looks like
+
+    def _learn(self, frame: Frame, tracked: Tracked) -> None:
+        """Learn the target's colours where depth shows that it is the target."""
+        if tracked.mask is None or tracked.window is None or tracked.box is None:
+            return
+        if self._agree >= LEARNT_AGREE:
+            self._appearance.learn(
+                frame.colour, tracked.box, tracked.window, tracked.mask, frame.camera
+            )
+
+    def _search(
+        self, frame: Frame, grey: Grey, model: Model, T_predicted: Array, lost: Tracked
+    ) -> Tracked:
+        """Look for a target that is not where it should be in the whole image."""
+        blocked = np.zeros(frame.depth.shape, dtype=bool)
+        if frame.hand is not None:
+            margin = self.config.self_filter.margin
+            blocked = hand_pixels(frame.depth, (0, 0), frame.camera, frame.hand, margin)
+        z = max(float(transform(T_predicted, model.points.mean(axis=0)[None])[0, 2]), NEAREST_M)
+        found = look_alikes(self._appearance, frame, blocked, self._area_m2, z)
+        if not found:
+            return lost
+        best = found[0]
+        min_points = self.config.observation.min_points
+        T = put_at(best, frame, model, T_predicted, min_points)
+        if T is not None:
+            tracked = self._follow_model(frame, grey, model, T, searched=True)
+            if tracked.box is not None and _overlap(tracked.box, best.box) > LEAST_SHARED:
+                return tracked
+        self._agree = 0.0
+        window = segmentation.grow(best.box, 0.15, 8, frame.camera)
+        x0, y0, x1, y1 = window
+        mask = best.at[y0:y1, x0:x1] & (frame.depth[y0:y1, x0:x1] > 0)
+        return Tracked("tracked", best.box, window, mask, int(mask.sum()), T, None, lost.plane)
 
     # features
 
@@ -485,15 +553,10 @@ def projected_box(
     return float(low[0]), float(low[1]), float(high[0] + 1), float(high[1] + 1)
 
 
-def _extent(mask: NDArray[np.bool_], window: Window) -> Box:
-    """Box px, in the image, of the pixels of a window's mask."""
-    v, u = np.nonzero(mask)
-    return (
-        float(u.min() + window[0]),
-        float(v.min() + window[1]),
-        float(u.max() + 1 + window[0]),
-        float(v.max() + 1 + window[1]),
-    )
+def _area(mask: NDArray[np.bool_], depth: NDArray[np.float32], camera: Intrinsics) -> float:
+    """m^2, of a mask's pixels at their depth, seen from the camera."""
+    z = depth[mask].astype(np.float64)
+    return float((z * z).sum() / (camera.fx * camera.fy))
 
 
 def _overlap(a: Box, b: Box) -> float:

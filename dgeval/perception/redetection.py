@@ -1,0 +1,93 @@
+"""Looks for a lost target in the whole image, by its colours and its size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dgeval.geometry import Array, Box, transform
+from dgeval.perception import segmentation
+from dgeval.perception.appearance import LEAST_SEPARABLE, LIKELY, Appearance
+from dgeval.perception.types import Model
+from dgeval.recording.frame import Frame
+
+LEAST_ALIKE = 0.5  # Bhattacharyya coefficient
+SIZES = 0.15, 2.5  # of what is found, against the target's own area at that distance
+APART_PX = 5  # parts of the target nearer than this are one
+SMOOTH_PX = 5
+LEAST_PX = 25
+
+
+@dataclass(frozen=True)
+class Found:
+    """Something that looks like the target: its box px, pixels (H, W), and how alike, 0 to 1."""
+
+    box: Box
+    at: NDArray[np.bool_]
+    alike: float
+
+
+def look_alikes(
+    appearance: Appearance,
+    frame: Frame,
+    blocked: NDArray[np.bool_],
+    area_m2: float,
+    z_expected: float,
+) -> list[Found]:
+    """Everything in a frame that has the target's colours and size, the best first.
+
+    blocked (H, W): pixels of the hand. area_m2: of the target, seen from where it was. z_expected:
+    m, where a thing has no depth. Nothing where colours don't tell the target from the rest.
+    """
+    if appearance.separable < LEAST_SEPARABLE:
+        return []
+    likely = cv2.blur(appearance.likelihood(frame.colour), (SMOOTH_PX, SMOOTH_PX)) > LIKELY
+    likely &= ~blocked
+    joined = cv2.dilate(likely.astype(np.uint8), np.ones((APART_PX, APART_PX), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
+    found: list[tuple[float, Found]] = []
+    for k in range(1, count):
+        x, y, w, h, area = (int(v) for v in stats[k])
+        if area < LEAST_PX:
+            continue
+        here = np.s_[y : y + h, x : x + w]
+        part = (labels[here] == k) & likely[here]
+        pixels = int(part.sum())
+        z = frame.depth[here][part]
+        z = z[z > 0]
+        distance = float(np.median(z)) if len(z) >= LEAST_PX else None
+        size = (
+            pixels * (distance or z_expected) ** 2 / (frame.camera.fx * frame.camera.fy * area_m2)
+        )
+        if pixels < LEAST_PX or not SIZES[0] < size < SIZES[1]:
+            continue
+        alike = appearance.alike(frame.colour[here], part)
+        if alike < LEAST_ALIKE:
+            continue
+        at = np.zeros(frame.depth.shape, dtype=bool)
+        at[here] = part
+        box = segmentation.extent(part, (x, y, x + w, y + h))
+        found.append((alike * min(1.0, size, 1 / size), Found(box, at, alike)))
+    return [one for _, one in sorted(found, key=lambda f: -f[0])]
+
+
+def put_at(
+    found: Found, frame: Frame, model: Model, T_predicted: Array, min_points: int
+) -> Array | None:
+    """T_camera_model (4, 4), turned as predicted, with the model's near side where a thing is.
+
+    None where the thing has fewer than `min_points` pixels with depth.
+    """
+    window = (0, 0, frame.camera.width, frame.camera.height)
+    points = segmentation.points_of(frame.depth, window, found.at & (frame.depth > 0), frame.camera)
+    in_camera = transform(T_predicted, model.points)
+    normals = model.normals @ T_predicted[:3, :3].T
+    facing = np.einsum("ij,ij->i", normals, in_camera) < 0
+    if len(points) < min_points or not facing.any():
+        return None
+    T = T_predicted.copy()
+    T[:3, 3] += np.median(points, axis=0) - np.median(in_camera[facing], axis=0)
+    return T
