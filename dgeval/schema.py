@@ -143,6 +143,17 @@ FRAMES_ADDED: tuple[Column, ...] = (
     ),
     Column("n_features", "int", "", "image features followed on the target", "tracking"),
     Column(
+        "track_confidence",
+        "float",
+        "",
+        "that box and mask are the target's, 0 to 1; null where the tracker does not say",
+        "tracking",
+    ),
+    Column(
+        "occluded", "bool", "", "something in front hides at least half of the target", "tracking"
+    ),
+    Column("reacquired", "bool", "", "tracked again after it was lost", "tracking"),
+    Column(
         "grasp_quality",
         "float",
         "",

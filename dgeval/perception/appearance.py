@@ -38,6 +38,11 @@ class Appearance:
         self._first: Array | None = None
         self.separable = self.separable_near = 0.0
 
+    @property
+    def known(self) -> bool:
+        """Whether a target has been learnt."""
+        return self._first is not None
+
     def start(self, image: Image, box: Box, window: Window, mask: Mask, camera: Intrinsics) -> None:
         """Learn a new target: its mask in a window of the image, and its box px.
 

@@ -14,7 +14,7 @@ from dgeval.perception.appearance import LEAST_SEPARABLE, LIKELY, Appearance
 from dgeval.perception.types import Model
 from dgeval.recording.frame import Frame
 
-LEAST_ALIKE = 0.5  # Bhattacharyya coefficient
+LEAST_ALIKE = 0.7  # Bhattacharyya coefficient
 SIZES = 0.15, 2.5  # of what is found, against the target's own area at that distance
 APART_PX = 5  # parts of the target nearer than this are one
 SMOOTH_PX = 5

@@ -19,7 +19,6 @@ Mask = NDArray[np.bool_]
 # different surfaces
 DEPTH_STEP = 0.015
 IN_FRONT_M = 0.025  # m, by which something that hides the target is nearer than it
-LEAST_HIDDEN = 0.1  # share of its silhouette, from which on the target's box is that of the rest
 
 
 def grow(box: Box, share: float, pixels: float, camera: Intrinsics) -> Window:
@@ -169,6 +168,26 @@ def segment_box(depth: NDArray[np.float32], window: Window, free: Mask, box: Box
     return np.asarray((chosen | rim) & free & inside)
 
 
+def near_side(
+    shape: tuple[int, ...], window: Window, points: Array, camera: Intrinsics
+) -> NDArray[np.float32]:
+    """Depth (h, w) m of the side of points (n, 3) m, camera frame, that a window sees, 0 beside."""
+    pixels = np.rint(camera.project(points)).astype(int) - np.array(window[:2])
+    height, width = shape
+    inside = (
+        (pixels[:, 0] >= 0) & (pixels[:, 0] < width) & (pixels[:, 1] >= 0) & (pixels[:, 1] < height)
+    )
+    order = np.argsort(-points[inside, 2], kind="stable")  # the nearest is written last
+    drawn = np.zeros(shape, np.float32)
+    px = pixels[inside][order]
+    drawn[px[:, 1], px[:, 0]] = points[inside, 2][order]
+    # the model is a set of points: fill the gaps between them
+    spacing = 5
+    near = np.where(drawn > 0, drawn, np.float32(10.0)).astype(np.float32)
+    front = cv2.erode(near, np.ones((spacing, spacing), np.uint8))
+    return np.where(front < 10.0, front, 0.0).astype(np.float32)
+
+
 def segment_model(
     depth: NDArray[np.float32],
     window: Window,
@@ -184,21 +203,9 @@ def segment_model(
     points (n, 3) m: the model's, camera frame. reach: px beyond the silhouette; pixels there must
     be connected to it.
     """
-    pixels = np.rint(camera.project(points)).astype(int) - np.array(window[:2])
-    height, width = depth.shape
-    inside = (
-        (pixels[:, 0] >= 0) & (pixels[:, 0] < width) & (pixels[:, 1] >= 0) & (pixels[:, 1] < height)
-    )
-    order = np.argsort(-points[inside, 2], kind="stable")  # the nearest is written last
-    drawn = np.zeros(depth.shape, np.float32)
-    px = pixels[inside][order]
-    drawn[px[:, 1], px[:, 0]] = points[inside, 2][order]
-    # the model is a set of points: fill the gaps between them, then add what newly came into view
-    spacing = 5
-    near = np.where(drawn > 0, drawn, np.float32(10.0)).astype(np.float32)
-    front = cv2.erode(near, np.ones((spacing, spacing), np.uint8))
-    front = np.where(front < 10.0, front, 0.0).astype(np.float32)
+    front = near_side(depth.shape, window, points, camera)
     core = (front > 0) & free & (np.abs(depth - front) < 0.02)
+    # what newly came into view
     wide = cv2.erode(
         np.where(front > 0, front, np.float32(10.0)).astype(np.float32),
         np.ones((2 * reach + 1, 2 * reach + 1), np.uint8),
@@ -214,34 +221,25 @@ def segment_model(
     return without_strays(core | band, depth > 0), front
 
 
-def seen_part(
-    box: Box,
-    window: Window,
-    front: NDArray[np.float32],
-    depth: NDArray[np.float32],
-    unlike: Mask,
-) -> tuple[Box, float]:
-    """The box px of what is seen of the target, and the share of it that is hidden.
+def hidden_part(
+    front: NDArray[np.float32], depth: NDArray[np.float32], unlike: Mask
+) -> tuple[Mask, float]:
+    """Pixels (h, w) where something nearer, or of another colour, is in front of the target.
 
-    Hidden is what something nearer, or of another colour, is in front of; while that is next to
-    nothing, or all, the box stays. front (h, w) m: the model's near side in a window, 0 beside it.
-    unlike (h, w): pixels that don't have its colours.
+    Also their share of its silhouette. front (h, w) m: the model's near side, 0 beside it. unlike
+    (h, w): pixels that don't have its colours.
     """
-    silhouette = front > 0
-    hidden = silhouette & (((depth > 0) & (depth < front - IN_FRONT_M)) | unlike)
-    share = float(hidden.sum() / max(1, int(silhouette.sum())))
-    seen = cv2.morphologyEx(
-        (silhouette & ~hidden).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)
-    )
-    if share < LEAST_HIDDEN or not seen.any():
-        return box, share
-    x0, y0, x1, y1 = extent(seen > 0, window)
-    return (
-        max(box[0], x0 - 1),
-        max(box[1], y0 - 1),
-        min(box[2], x1 + 1),
-        min(box[3], y1 + 1),
-    ), share
+    hidden = (front > 0) & (((depth > 0) & (depth < front - IN_FRONT_M)) | unlike)
+    return hidden, float(hidden.sum() / max(1, int((front > 0).sum())))
+
+
+def seen_part(box: Box, window: Window, seen: Mask) -> Box:
+    """The part of the target's box px around the pixels of a window in which it is seen."""
+    clean = cv2.morphologyEx(seen.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    if not clean.any():
+        return box
+    x0, y0, x1, y1 = extent(clean, window)
+    return max(box[0], x0 - 1), max(box[1], y0 - 1), min(box[2], x1 + 1), min(box[3], y1 + 1)
 
 
 def extent(mask: Mask, window: Window) -> Box:

@@ -39,6 +39,9 @@ class Tracked:
 
     box: x0, y0, x1, y1 px, inside the image. mask: the target's pixels with usable depth in
     `window`; mask_area: their number. T_camera_model (4, 4): the tracker's own pose, if it has one.
+    confidence: that box and mask are the target's, 0 to 1; None where the tracker doesn't say.
+    occluded: something in front hides at least half of it. reacquired: it was lost in the frame
+    before.
     """
 
     state: Tracking
@@ -49,6 +52,9 @@ class Tracked:
     T_camera_model: Array | None = None
     features: Features | None = None
     plane: Plane | None = None
+    confidence: float | None = None
+    occluded: bool = False
+    reacquired: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,6 +61,12 @@ def _tracking(perceived: Perceived) -> dict[str, object]:
     if tracked.box is not None:
         row |= {f"box_{n}": v for n, v in zip(BOX, tracked.box, strict=True)}
         row["mask_area"] = tracked.mask_area
+    if tracked.state != "not_started":
+        row |= {
+            "track_confidence": tracked.confidence,
+            "occluded": tracked.occluded,
+            "reacquired": tracked.reacquired,
+        }
     if tracked.features is not None:
         row["n_features"] = len(tracked.features.points)
     return row

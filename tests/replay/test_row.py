@@ -62,7 +62,14 @@ def step_of(
 PALM = pose(0.1, 0.2, 0.3, np.pi)
 # a registration that is not accepted, so that its reason has a value too
 PERCEIVED = Perceived(
-    Tracked("tracked", (1, 2, 3, 4), mask_area=5, features=Features(POINTS, POINTS[:, :2])),
+    Tracked(
+        "tracked",
+        (1, 2, 3, 4),
+        mask_area=5,
+        features=Features(POINTS, POINTS[:, :2]),
+        confidence=0.25,
+        reacquired=True,
+    ),
     Observation(POINTS[:3], POINTS[:3]),
     Registration(np.eye(4), 0.8, 0.6, 0.004, "fitness"),
     Fused(False, "fitness", 3, 0.002, Model(POINTS, POINTS), pose(1, 2, 3), np.array([4, 5, 6.0])),
@@ -116,6 +123,7 @@ def test_values_of_a_step_stand_under_their_own_columns() -> None:
     """Catches box corners, scores, errors or axes that change places."""
     expected = {
         "frame": 7, "t_ns": 1000, "tracking": "tracked", "mask_area": 5, "n_features": 4,
+        "track_confidence": 0.25, "occluded": False, "reacquired": True,
         "box_x0": 1, "box_y0": 2, "box_x1": 3, "box_y1": 4,
         "n_observed": 3, "n_filtered": 3, "n_model": 4, "predicted": True,
         "icp_accepted": False, "icp_fitness": 0.8, "icp_gate_fitness": 0.6, "icp_rmse": 0.004,

@@ -6,7 +6,7 @@ the box in colour and gives no pose.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,9 +16,9 @@ from dgeval.config import Config
 from dgeval.determinism import generator
 from dgeval.geometry import Array, Box, Intrinsics, depth_sigma, invert, rotation_angle, transform
 from dgeval.perception import align, segmentation
-from dgeval.perception.appearance import Appearance
+from dgeval.perception.appearance import LEAST_SEPARABLE, Appearance
 from dgeval.perception.plane import Plane
-from dgeval.perception.redetection import look_alikes, put_at
+from dgeval.perception.redetection import LEAST_ALIKE, look_alikes, put_at
 from dgeval.perception.self_filter import hand_pixels
 from dgeval.perception.trackers.image import Grey, ImageTrack, corners, follow
 from dgeval.perception.types import Features, Model, Tracked, Window
@@ -35,6 +35,13 @@ BASE_HEIGHT = 0.012  # m; model points lower than this above the plane belong to
 MIN_COVER, MIN_FILL = 0.5, 0.2
 NEAREST_M = 0.1  # m, at which a target without depth is, at least
 LEAST_SHARED = 0.2  # overlap of the box of what was found and that of the model put there
+# share of its silhouette that is hidden, from which on its box is that of the rest, and from which
+# on it is occluded
+LEAST_HIDDEN, HALF = 0.1, 0.5
+# confidence: of what colours alone found, at most; share of agreeing depth of which there is none;
+# followed features, in least numbers of them, of which it is full; ours
+FOUND_CONFIDENCE, LEAST_AGREE, FEATURES_SURE = 0.9, 0.4, 4
+LEARNT_ALIKE = 0.85  # likeness, below which what is tracked is not learnt: it may be something else
 LEARNT_AGREE = 0.8  # share of agreeing depth from which on a mask shows what the target looks like
 
 
@@ -127,15 +134,25 @@ class ModelTracker:
         if given.T_previous is not None and given.accepted:
             self._keep_keyframe(given.T_previous, frame.camera)
             self._learn_rim(given.model, given.T_previous, frame.camera)
+        was_lost = self._lost_since is not None
         tracked = self._follow_model(frame, grey, given.model, given.T_predicted)
+        alike = self._looks(frame, tracked)
+        if tracked.state == "lost" or alike < LEAST_ALIKE:
+            hidden = self._hidden_at(frame, given.model, given.T_predicted)
+            lost = Tracked("lost", plane=tracked.plane, confidence=0.0, occluded=hidden > HALF)
+            tracked = self._search(frame, grey, given.model, given.T_predicted, lost)
+            alike = self._looks(frame, tracked)
         if tracked.state == "lost":
-            tracked = self._search(frame, grey, given.model, given.T_predicted, tracked)
-        if tracked.state == "tracked":
-            self._lost_since = None
-            self._learn(frame, tracked)
-        elif self._lost_since is None:
-            self._lost_since = frame.t_ns
-        return tracked
+            self._lost_since = self._lost_since if was_lost else frame.t_ns
+            return tracked
+        self._lost_since = None
+        self._learn(frame, tracked, alike)
+        return replace(
+            tracked,
+            confidence=self._confidence(tracked, alike),
+            occluded=tracked.mask is not None and self._hidden > HALF,
+            reacquired=was_lost,
+        )
 
     def look(self, frame: Frame, model: Model, T_camera_model: Array) -> Tracked:
         """Track the model in any frame from any pose, with the keyframes kept so far.
@@ -212,7 +229,7 @@ class ModelTracker:
             return Tracked("lost")
         box = self._image_box(frame, grey)
         if box is None:
-            return Tracked("lost")
+            return Tracked("lost", confidence=0.0)
         segmented = self._segment_box(frame, self._image.box)
         if segmented is None:
             return Tracked("tracked", box)
@@ -289,7 +306,12 @@ class ModelTracker:
         mask, front = segmentation.segment_model(
             depth, window, free & ~unlike, points, frame.camera, GROWTH_PX
         )
-        box, self._hidden = segmentation.seen_part(box, window, front, depth, unlike)
+        hidden, self._hidden = segmentation.hidden_part(front, depth, unlike)
+        if self._hidden > LEAST_HIDDEN:
+            box = segmentation.seen_part(box, window, (front > 0) & ~hidden)
+        z2 = front[front > 0].astype(np.float64) ** 2
+        area = float(z2.sum() / (frame.camera.fx * frame.camera.fy))
+        self._area_m2 = max(self._area_m2, area)
         self._last_frame = _LastFrame(grey, window, mask, depth)
         if plane is not None:
             self._plane_model = plane.moved(invert(T))
@@ -373,14 +395,47 @@ class ModelTracker:
 
     # what it looks like
 
-    def _learn(self, frame: Frame, tracked: Tracked) -> None:
-        """Learn the target's colours where depth shows that it is the target."""
+    def _learn(self, frame: Frame, tracked: Tracked, alike: float) -> None:
+        """Learn the target's colours where depth shows that it is the target, and it looks so."""
         if tracked.mask is None or tracked.window is None or tracked.box is None:
             return
-        if self._agree >= LEARNT_AGREE:
+        if self._agree >= LEARNT_AGREE and alike >= LEARNT_ALIKE:
             self._appearance.learn(
                 frame.colour, tracked.box, tracked.window, tracked.mask, frame.camera
             )
+
+    def _looks(self, frame: Frame, tracked: Tracked) -> float:
+        """How alike the tracked pixels and the target are, 0 to 1; 1 where nothing tells."""
+        if tracked.mask is None or tracked.window is None or not self._appearance.known:
+            return 1.0
+        if self._appearance.separable_near < LEAST_SEPARABLE or not tracked.mask.any():
+            return 1.0
+        x0, y0, x1, y1 = tracked.window
+        return self._appearance.alike(frame.colour[y0:y1, x0:x1], tracked.mask)
+
+    def _confidence(self, tracked: Tracked, alike: float) -> float:
+        """That what is tracked is the target: the least of what looks, depth and features say."""
+        looks = (alike - LEAST_ALIKE) / (LEARNT_ALIKE - LEAST_ALIKE)
+        if tracked.T_camera_model is None:  # found by its colours alone
+            return float(np.clip(looks, 0.0, FOUND_CONFIDENCE))
+        n_features = 0 if tracked.features is None else len(tracked.features.points)
+        followed = n_features / (FEATURES_SURE * self.config.tracking.min_corners)
+        agree = (self._agree - LEAST_AGREE) / (LEARNT_AGREE - LEAST_AGREE)
+        return float(np.clip(min(looks, max(agree, followed)), 0.0, 1.0))
+
+    def _hidden_at(self, frame: Frame, model: Model, T_camera_model: Array) -> float:
+        """Share of the model's silhouette at a pose that something nearer is in front of."""
+        box = projected_box(model.points[::4], T_camera_model, frame.camera, None)
+        if box is None:
+            return 0.0
+        window = segmentation.grow(box, 0.0, 0, frame.camera)
+        if segmentation.is_empty(window):
+            return 0.0
+        depth = frame.depth[window[1] : window[3], window[0] : window[2]]
+        points = transform(T_camera_model, model.points)
+        points = points[points[:, 2] > 0.05]
+        front = segmentation.near_side(depth.shape, window, points, frame.camera)
+        return segmentation.hidden_part(front, depth, np.zeros(depth.shape, dtype=bool))[1]
 
     def _search(
         self, frame: Frame, grey: Grey, model: Model, T_predicted: Array, lost: Tracked
@@ -399,13 +454,14 @@ class ModelTracker:
         T = put_at(best, frame, model, T_predicted, min_points)
         if T is not None:
             tracked = self._follow_model(frame, grey, model, T, searched=True)
-            if tracked.box is not None and _overlap(tracked.box, best.box) > LEAST_SHARED:
+            if (
+                tracked.box is not None
+                and _overlap(tracked.box, best.box) > LEAST_SHARED
+                and self._looks(frame, tracked) >= LEAST_ALIKE
+            ):
                 return tracked
         self._agree = 0.0
-        window = segmentation.grow(best.box, 0.15, 8, frame.camera)
-        x0, y0, x1, y1 = window
-        mask = best.at[y0:y1, x0:x1] & (frame.depth[y0:y1, x0:x1] > 0)
-        return Tracked("tracked", best.box, window, mask, int(mask.sum()), T, None, lost.plane)
+        return Tracked("tracked", best.box, plane=lost.plane)
 
     # features
 
