@@ -18,7 +18,7 @@ from dgeval.perception.types import Window
 Image = NDArray[np.uint8]  # RGB, (h, w, 3)
 LIGHT, TINT = 8, 32  # bins of lightness, and of each of the two axes of colour
 LEAST_PIXELS = 30  # of a mask that is learnt from
-RECENT = 0.1  # share of a new frame in what was seen last
+RECENT = 0.25  # share of a new frame in what was seen last
 FIRST = 0.5  # share of the first mask in the target's histogram
 UNSEEN = 2e-5  # share of each histogram that any colour has, so that unseen ones are undecided
 LIKELY, UNLIKE = 0.5, 0.2  # likelihood, above which a colour is its own, and below which it isn't
@@ -109,20 +109,19 @@ class Appearance:
         return float(np.sqrt(histogram(colours(image)[at]) * self._target).sum())
 
 
-def colours(image: Image) -> NDArray[np.intp]:
+def colours(image: Image) -> NDArray[np.uint16]:
     """The bin (h, w) of each pixel's colour, in CIELAB."""
-    lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB).astype(np.intp)
-    return np.asarray(
-        (lab[..., 0] >> 5) * TINT * TINT + (lab[..., 1] >> 3) * TINT + (lab[..., 2] >> 3)
-    )
+    lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB).astype(np.uint16)
+    return np.asarray(((lab[..., 0] >> 5) << 10) | ((lab[..., 1] >> 3) << 5) | (lab[..., 2] >> 3))
 
 
-def histogram(bins: NDArray[np.intp]) -> Array:
+def histogram(bins: NDArray[np.uint16]) -> Array:
     """Shares (LIGHT * TINT * TINT,) of the pixels, smoothed over neighbouring colours; sum 1."""
     counts = np.bincount(bins.ravel(), minlength=LIGHT * TINT * TINT).astype(np.float64)
     padded = np.pad(counts.reshape(LIGHT, TINT, TINT), ((1, 1), (0, 0), (0, 0)))
     cube = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
-    smooth = np.stack([cv2.GaussianBlur(plane, (5, 5), 0.8) for plane in cube])
+    planes = np.ascontiguousarray(cube.transpose(1, 2, 0))
+    smooth = cv2.GaussianBlur(planes, (5, 5), 0.8).transpose(2, 0, 1)
     return np.asarray(smooth.ravel() / max(smooth.sum(), 1e-12))
 
 

@@ -16,7 +16,7 @@ from dgeval.geometry import Array, Intrinsics, depth_sigma, invert, transform
 from dgeval.recording.frame import Frame
 
 NEAREST_M, FARTHEST_M, BIN_M = 0.2, 3.2, 0.2  # m, of the ranges in which noise is measured
-STEP_PX = 4  # every so many pixels, in both directions
+STEP_PX = 6  # every so many pixels, in both directions
 EVERY = 5  # frames; of these one pair is measured
 SMOOTH_M = 0.020  # m, within 5 x 5 pixels: on slopes and at edges a pixel's place is worth more
 MOST_M, LEVEL_M = 0.05, 5e-4  # m, of differences that count, and how finely they are counted

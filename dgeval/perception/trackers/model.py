@@ -41,6 +41,7 @@ LEAST_HIDDEN, HALF = 0.1, 0.5
 # confidence: of what colours alone found, at most; share of agreeing depth of which there is none;
 # followed features, in least numbers of them, of which it is full; ours
 FOUND_CONFIDENCE, LEAST_AGREE, FEATURES_SURE = 0.9, 0.4, 4
+LEARNT_EVERY = 3  # frames; of these one is learnt from
 LEARNT_ALIKE = 0.85  # likeness, below which what is tracked is not learnt: it may be something else
 LEARNT_AGREE = 0.8  # share of agreeing depth from which on a mask shows what the target looks like
 
@@ -155,15 +156,18 @@ class ModelTracker:
         )
 
     def look(self, frame: Frame, model: Model, T_camera_model: Array) -> Tracked:
-        """Track the model in any frame from any pose, with the keyframes kept so far.
+        """Track the model in any frame from any pose, with what is known of the target so far.
 
-        The tracker's own state is not changed.
+        Lost where it does not look like the target. The tracker's own state is not changed.
         """
-        lost, self._lost_since = self._lost_since, None
-        last_frame, plane = self._last_frame, self._plane_model
+        kept = (self._lost_since, self._last_frame, self._plane_model, self._agree, self._hidden)
+        area_m2, self._lost_since = self._area_m2, None
         grey = np.asarray(cv2.cvtColor(frame.colour, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         tracked = self._follow_model(frame, grey, model, T_camera_model)
-        self._lost_since, self._last_frame, self._plane_model = lost, last_frame, plane
+        if self._looks(frame, tracked) < LEAST_ALIKE:
+            tracked = Tracked("lost", plane=tracked.plane)
+        self._lost_since, self._last_frame, self._plane_model, self._agree, self._hidden = kept
+        self._area_m2 = area_m2
         return tracked
 
     # the first frame
@@ -398,6 +402,8 @@ class ModelTracker:
     def _learn(self, frame: Frame, tracked: Tracked, alike: float) -> None:
         """Learn the target's colours where depth shows that it is the target, and it looks so."""
         if tracked.mask is None or tracked.window is None or tracked.box is None:
+            return
+        if frame.index % LEARNT_EVERY:
             return
         if self._agree >= LEARNT_AGREE and alike >= LEARNT_ALIKE:
             self._appearance.learn(
