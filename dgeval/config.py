@@ -195,7 +195,7 @@ class RegistrationConfig(Section):
     c_a_v: float = Field(4.0, gt=0, description="m/s (Table V, c_a,v)")
     c_a_w: float = Field(4.0, gt=0, description="rad/s (Table V, c_a,omega)")
     gate_distance: float = Field(
-        0.005, gt=0, description="m; the gate counts matches within max(this, 2 sigma_z)"
+        0.005, gt=0, description="m; the gate counts matches within max(this, 2 sigma)"
     )
 
 

@@ -61,7 +61,11 @@ FRAMES: tuple[Column, ...] = (
         "registration",
     ),
     Column(
-        "icp_gate_fitness", "float", "", "the same within max(5 mm, 2 sigma_z(z))", "registration"
+        "icp_gate_fitness",
+        "float",
+        "",
+        "the same within max(5 mm, 2 sigma(z)) along the normal",
+        "registration",
     ),
     Column("icp_rmse", "float", "m", "over the matches within the search radius", "registration"),
     Column("icp_reject_reason", "str", "", "why there is no accepted registration", "registration"),

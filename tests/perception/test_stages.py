@@ -21,6 +21,7 @@ from dgeval.determinism import generator
 from dgeval.errors import MissingDependencyError
 from dgeval.geometry import Intrinsics, increment, invert, matrix_from_pose, transform
 from dgeval.perception import align
+from dgeval.perception.depth_noise import DepthNoise
 from dgeval.perception.estimation import VelocityFilter
 from dgeval.perception.fusion import Fusion, supported
 from dgeval.perception.observation import observe
@@ -268,6 +269,47 @@ def test_gate_fitness_sees_the_shift_that_plain_fitness_does_not() -> None:
         Observation(points[::3], normals[::3]), Model(points, normals), np.eye(4), None, CAMERA, c
     )
     assert result.gate_fitness > 0.99
+
+
+def parcel(rng: np.random.Generator, n: int, sigma: float) -> Observation:
+    """A face of 0.3 x 0.2 m, 1 m before the camera, with noise along the view."""
+    points = np.column_stack(
+        [rng.uniform(-0.15, 0.15, n), rng.uniform(-0.1, 0.1, n), 1.0 + rng.normal(0, sigma, n)]
+    )
+    return Observation(points, np.tile([0.0, 0.0, -1.0], (n, 1)))
+
+
+def test_a_large_model_takes_a_second_look() -> None:
+    """Fails where distances are taken between points: those of a large model are 6 mm apart."""
+    rng = np.random.default_rng(2)
+    first, second = parcel(rng, 1500, 0.001), parcel(rng, 1000, 0.001)
+    model = Model(first.points, first.normals)
+    result = register(second, model, np.eye(4), None, CAMERA, RegistrationConfig())
+    distance = np.sqrt(KdTree(first.points).batch_nearest_neighbor_search(second.points)[1])
+    assert (distance < 0.005).mean() < 0.8
+    assert result.gate_fitness > 0.98
+
+
+def test_what_lies_beside_the_model_does_not_match_along_its_normal() -> None:
+    """Fails where a face that was shifted along itself matches a model that ends before it."""
+    rng = np.random.default_rng(3)
+    first, second = parcel(rng, 1500, 0.001), parcel(rng, 1000, 0.001)
+    half = first.points[:, 0] < 0.03
+    model = Model(first.points[half], first.normals[half])
+    result = register(second, model, np.eye(4), None, CAMERA, RegistrationConfig())
+    assert result.gate_fitness < 0.72
+
+
+def test_the_gate_opens_with_the_noise_that_the_recording_has() -> None:
+    """Fails where a good fit on a noisy sensor is refused in every frame."""
+    rng = np.random.default_rng(4)
+    first, second = parcel(rng, 1500, 0.0075), parcel(rng, 1000, 0.0075)
+    model, c = Model(first.points, first.normals), RegistrationConfig()
+    assert register(second, model, np.eye(4), None, CAMERA, c).gate_fitness < 0.8
+    noise = DepthNoise()
+    noise.counts[4, 7] = 1000  # at 1.1 m a difference of 3.75 mm in the median, so 3.9 mm
+    assert noise.sigma(np.array([1.0])) == pytest.approx([0.00385], abs=2e-4)
+    assert register(second, model, np.eye(4), None, CAMERA, c, noise).gate_fitness > 0.8
 
 
 # fusion

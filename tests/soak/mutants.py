@@ -35,6 +35,8 @@ TEST_SENTENCE, TEST_TABLE = "tests/verdict/test_sentence.py", "tests/verdict/tes
 CLOSES, TEST_CLOSES = "dgeval/recording/closes.py", "tests/recording/test_closes.py"
 MOTION = "dgeval/recording/closing_motion.py"
 CAMERAS, CHECKS = "dgeval/recording/cameras.py", "dgeval/recording/checks.py"
+MODEL_TRACKER = "dgeval/perception/trackers/model.py"
+TEST_LOOKS = "tests/perception/test_looks.py"
 TEST_CHECKS = "tests/recording/test_checks.py"
 TEST_TARGET = "tests/recording/test_recorded_target.py"
 TEST_ESTIMATES = "tests/verdict/test_estimates.py"
@@ -1277,6 +1279,84 @@ MUTANTS = [
         "if isinstance(found, NoClose) or not found.rest_ns + LATE_NS < close_ns",
         "if isinstance(found, NoClose) or not found.lift_ns + UP_NS < close_ns",
         "tests/recording/test_third_strangers.py",
+    ),
+    Mutant(
+        "dgeval/verdict/recorded_closing.py",
+        "ticks = (since_close + lags) / CONTROL_S",
+        "ticks = (since_close + 0.0 * lags) / CONTROL_S",
+        "tests/verdict/test_described_grip.py",
+    ),
+    Mutant(
+        "dgeval/verdict/recorded_closing.py",
+        "stopped &= stands < stands[free].max() - TOGETHER_TICKS",
+        "stopped &= stands >= 0",
+        "tests/verdict/test_described_grip.py",
+    ),
+    Mutant(
+        "dgeval/perception/registration.py",
+        "close = (along < limit) & (beside",
+        "close = (distance < limit) & (beside",
+        "tests/perception/test_stages.py",
+    ),
+    Mutant(
+        "dgeval/perception/registration.py",
+        "APART * spacing(model, tree))",
+        "100 * APART * spacing(model, tree))",
+        "tests/perception/test_stages.py",
+    ),
+    Mutant(
+        "dgeval/perception/depth_noise.py",
+        "LEVEL_M / 0.6745 / np.sqrt(2)",
+        "LEVEL_M / 0.6745",
+        "tests/perception/test_depth_noise.py",
+    ),
+    Mutant(
+        "dgeval/perception/depth_noise.py",
+        "BELIEVED = 1.0, 3.0",
+        "BELIEVED = 0.1, 30.0",
+        "tests/perception/test_depth_noise.py",
+    ),
+    Mutant(
+        MODEL_TRACKER,
+        "free &= ~self._appearance.unlike(frame.colour, window)",
+        "pass",
+        TEST_LOOKS,
+    ),
+    Mutant(
+        MODEL_TRACKER,
+        'if tracked.state == "lost" or alike < LEAST_ALIKE:',
+        'if tracked.state == "lost":',
+        TEST_LOOKS,
+    ),
+    Mutant(
+        MODEL_TRACKER,
+        "reacquired=was_lost,",
+        "reacquired=False,",
+        TEST_LOOKS,
+    ),
+    Mutant(
+        "dgeval/perception/redetection.py",
+        "T[:3, 3] += np.median(points, axis=0)",
+        "T[:3, 3] += 0 * np.median(points, axis=0)",
+        TEST_LOOKS,
+    ),
+    Mutant(
+        "dgeval/perception/segmentation.py",
+        "(depth < front - IN_FRONT_M)",
+        "(depth > front + IN_FRONT_M)",
+        TEST_LOOKS,
+    ),
+    Mutant(
+        "dgeval/perception/appearance.py",
+        "FIRST = 0.5 ",
+        "FIRST = 0.0 ",
+        TEST_LOOKS,
+    ),
+    Mutant(
+        "dgeval/perception/appearance.py",
+        "PATCH = 0.2 ",
+        "PATCH = 0.0 ",
+        TEST_LOOKS,
     ),
 ]
 
