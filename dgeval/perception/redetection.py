@@ -15,7 +15,9 @@ from dgeval.perception.types import Model
 from dgeval.recording.frame import Frame
 
 LEAST_ALIKE = 0.7  # Bhattacharyya coefficient
-SIZES = 0.15, 2.5  # of what is found, against the target's own area at that distance
+# of what is found, against the target's own area at its distance, and where that is not measured
+SIZES, SIZES_UNMEASURED = (0.15, 2.5), (0.05, 6.0)
+LEAST_MEASURED = 0.5  # share of its pixels that need depth
 APART_PX = 5  # parts of the target nearer than this are one
 SMOOTH_PX = 5
 LEAST_PX = 25
@@ -23,11 +25,15 @@ LEAST_PX = 25
 
 @dataclass(frozen=True)
 class Found:
-    """Something that looks like the target: its box px, pixels (H, W), and how alike, 0 to 1."""
+    """Something that looks like the target: its box px, pixels (H, W), and how alike, 0 to 1.
+
+    measured: its pixels have depth.
+    """
 
     box: Box
     at: NDArray[np.bool_]
     alike: float
+    measured: bool
 
 
 def look_alikes(
@@ -58,11 +64,14 @@ def look_alikes(
         pixels = int(part.sum())
         z = frame.depth[here][part]
         z = z[z > 0]
-        distance = float(np.median(z)) if len(z) >= LEAST_PX else None
-        size = (
-            pixels * (distance or z_expected) ** 2 / (frame.camera.fx * frame.camera.fy * area_m2)
-        )
-        if pixels < LEAST_PX or not SIZES[0] < size < SIZES[1]:
+        if pixels < LEAST_PX:
+            continue
+        # a few readings in a thing without depth are of what is behind it
+        measured = len(z) >= LEAST_MEASURED * pixels
+        distance = float(np.median(z)) if measured else z_expected
+        size = pixels * distance**2 / (frame.camera.fx * frame.camera.fy * area_m2)
+        least, most = SIZES if measured else SIZES_UNMEASURED
+        if not least < size < most:
             continue
         alike = appearance.alike(frame.colour[here], part)
         if alike < LEAST_ALIKE:
@@ -70,7 +79,7 @@ def look_alikes(
         at = np.zeros(frame.depth.shape, dtype=bool)
         at[here] = part
         box = segmentation.extent(part, (x, y, x + w, y + h))
-        found.append((alike * min(1.0, size, 1 / size), Found(box, at, alike)))
+        found.append((alike * min(1.0, size, 1 / size), Found(box, at, alike, measured)))
     return [one for _, one in sorted(found, key=lambda f: -f[0])]
 
 
@@ -79,14 +88,14 @@ def put_at(
 ) -> Array | None:
     """T_camera_model (4, 4), turned as predicted, with the model's near side where a thing is.
 
-    None where the thing has fewer than `min_points` pixels with depth.
+    None where the thing is not measured, or has fewer than `min_points` pixels with depth.
     """
     window = (0, 0, frame.camera.width, frame.camera.height)
     points = segmentation.points_of(frame.depth, window, found.at & (frame.depth > 0), frame.camera)
     in_camera = transform(T_predicted, model.points)
     normals = model.normals @ T_predicted[:3, :3].T
     facing = np.einsum("ij,ij->i", normals, in_camera) < 0
-    if len(points) < min_points or not facing.any():
+    if not found.measured or len(points) < min_points or not facing.any():
         return None
     T = T_predicted.copy()
     T[:3, 3] += np.median(points, axis=0) - np.median(in_camera[facing], axis=0)

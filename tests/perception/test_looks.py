@@ -182,3 +182,19 @@ def test_the_camera_s_pose_is_not_needed_to_find_the_target_again() -> None:
     steps = run(blind, box_of(seen[0]))
     assert all(s.tracked.state == "lost" for s in steps[8:12])
     assert all(overlap(s, m) > 0.7 for s, m in zip(steps[13:], seen[13:], strict=True))
+
+
+def test_a_few_readings_of_what_is_behind_do_not_make_the_target_too_large() -> None:
+    """Fails where a target without depth, in full view, is lost by stray readings around it."""
+    _, box = world()
+    near = at(-0.02, -0.16, 0.36, 0.4)
+    scenes: list[Solids] = [[(box, TARGET)] for _ in range(8)]
+    scenes += [[(box, near)] for _ in range(6)]
+    frames, seen = filmed(scenes)
+    for k in range(8, 14):
+        v, u = np.nonzero(seen[k])
+        frames[k].depth[v, u] = 0.0
+        frames[k].depth[v[::20], u[::20]] = 0.75  # of the table behind it
+    steps = run(frames, box_of(seen[0]))
+    assert [overlap(s, m) > 0.6 for s, m in zip(steps[8:], seen[8:], strict=True)] == [True] * 6
+    assert not any(s.accepted for s in steps[8:])

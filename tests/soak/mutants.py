@@ -1341,6 +1341,12 @@ MUTANTS = [
         TEST_LOOKS,
     ),
     Mutant(
+        "dgeval/perception/redetection.py",
+        "measured = len(z) >= LEAST_MEASURED * pixels",
+        "measured = len(z) >= LEAST_PX",
+        TEST_LOOKS,
+    ),
+    Mutant(
         "dgeval/perception/segmentation.py",
         "(depth < front - IN_FRONT_M)",
         "(depth > front + IN_FRONT_M)",
