@@ -257,7 +257,8 @@ def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
     usable = [n for n, h in scan.images.items() if h.encoding != "?"]
     hint = "name it with --set roles.colour=… or roles.depth=…" if len(usable) > 1 else None
     if missing == "depth" and not depth_topics(scan, scan.images):
-        hint = f"none holds depth ({', '.join(sorted(DEPTH_ENCODINGS))}): record it"
+        sure = ", ".join(sorted(DEPTH_ENCODINGS - {"mono16"}))
+        hint = f"none holds depth ({sure}, or mono16 under a name with depth): record it"
     raise UnreadableError(f"no {missing} images found{lost} among: {listed}{told}", place, hint)
 
 

@@ -17,14 +17,14 @@ from dgeval.determinism import generator
 from dgeval.geometry import Array, Box, Intrinsics, depth_sigma, invert, rotation_angle, transform
 from dgeval.perception import align, segmentation
 from dgeval.perception.appearance import LEAST_SEPARABLE, Appearance
+from dgeval.perception.keyframes import Keyframes, LastFrame
 from dgeval.perception.plane import Plane
 from dgeval.perception.redetection import LEAST_ALIKE, look_alikes, put_at
 from dgeval.perception.self_filter import hand_pixels
-from dgeval.perception.trackers.image import Grey, ImageTrack, corners, follow
+from dgeval.perception.trackers.image import Grey, ImageTrack
 from dgeval.perception.types import Features, Model, Tracked, Window
 from dgeval.recording.frame import Frame
 
-MAX_KEYFRAMES = 12  # keyframes that are kept
 GROWTH_PX = 6  # px beyond the model's silhouette in which new parts of the target are accepted
 RIM_FRAMES = 15  # accepted frames at the start in which the rim is measured
 RIM_SHARE = 0.05  # of the box's size; a larger difference does not come from the rim
@@ -64,33 +64,6 @@ class TrackingInput:
 
 
 @dataclass(frozen=True)
-class _Keyframe:
-    """Features of one frame with their model points.
-
-    crop: part of the image, origin: its upper left corner px. pixels (n, 2) px in the crop, points
-    (n, 3) m and their mean `centre`, model frame. distance: m, depth of the centre.
-    """
-
-    crop: Grey
-    origin: tuple[int, int]
-    pixels: NDArray[np.float32]
-    points: Array
-    T_camera_model: Array
-    centre: Array
-    distance: float
-
-
-@dataclass(frozen=True)
-class _LastFrame:
-    """The data of a frame that a keyframe needs, kept until the frame's final pose is known."""
-
-    grey: Grey
-    window: Window
-    mask: NDArray[np.bool_]
-    depth: NDArray[np.float32]
-
-
-@dataclass(frozen=True)
 class _ModelStart:
     """Box px and plane of the frame in which the model was started."""
 
@@ -106,8 +79,8 @@ class ModelTracker:
         self.reset()
 
     def reset(self) -> None:
-        self._keyframes: list[_Keyframe] = []
-        self._last_frame: _LastFrame | None = None
+        self._keyframes = Keyframes(self.config.tracking)
+        self._last_frame: LastFrame | None = None
         self._image: ImageTrack | None = None
         self._lost_since: int | None = None
         self._started = False
@@ -133,7 +106,9 @@ class ModelTracker:
         if given.model is None or given.T_predicted is None:
             return self._follow_image(frame, grey)
         if given.T_previous is not None and given.accepted:
-            self._keep_keyframe(given.T_previous, frame.camera)
+            if self._last_frame is not None:
+                self._keyframes.keep(self._last_frame, given.T_previous, frame.camera)
+                self._last_frame = None
             self._learn_rim(given.model, given.T_previous, frame.camera)
         was_lost = self._lost_since is not None
         tracked = self._follow_model(frame, grey, given.model, given.T_predicted)
@@ -178,7 +153,7 @@ class ModelTracker:
             self._image = ImageTrack(grey, box, self.config.tracking)
             return Tracked("tracked", self._inside(box, frame.camera), mask_area=0)
         window, mask, plane, depth = segmented
-        self._last_frame = _LastFrame(grey, window, mask, depth)
+        self._last_frame = LastFrame(grey, window, mask, depth)
         self._model_start = _ModelStart(box, plane)
         self._appearance.start(frame.colour, box, window, mask, frame.camera)
         self._area_m2 = _area(mask, depth, frame.camera)
@@ -238,7 +213,7 @@ class ModelTracker:
         if segmented is None:
             return Tracked("tracked", box)
         window, mask, plane, depth = segmented
-        self._last_frame = _LastFrame(grey, window, mask, depth)
+        self._last_frame = LastFrame(grey, window, mask, depth)
         self._model_start = _ModelStart(self._image.box, plane)
         self._image = None
         return Tracked("tracked", box, window, mask, int(mask.sum()), plane=plane)
@@ -282,7 +257,7 @@ class ModelTracker:
             # too little of the surface near the target has depth to fit the plane again
             plane = self._plane_model.moved(T_predicted)
             depth, free = self._crop(frame, window, plane)
-        features = self._follow_features(grey, window, T_predicted, frame.camera)
+        features = self._keyframes.follow(grey, window, T_predicted, frame.camera)
         free &= ~self._appearance.unlike(frame.colour, window)
         T, agree, n_depth, n_features = self._align(
             depth, window, free, model, features, T_predicted, frame.camera
@@ -316,7 +291,7 @@ class ModelTracker:
         z2 = front[front > 0].astype(np.float64) ** 2
         area = float(z2.sum() / (frame.camera.fx * frame.camera.fy))
         self._area_m2 = max(self._area_m2, area)
-        self._last_frame = _LastFrame(grey, window, mask, depth)
+        self._last_frame = LastFrame(grey, window, mask, depth)
         if plane is not None:
             self._plane_model = plane.moved(invert(T))
         inside = self._inside(box, frame.camera)
@@ -468,74 +443,6 @@ class ModelTracker:
                 return tracked
         self._agree = 0.0
         return Tracked("tracked", best.box, plane=lost.plane)
-
-    # features
-
-    def _keep_keyframe(self, T_previous: Array, camera: Intrinsics) -> None:
-        """Make the previous frame a keyframe if none has a similar direction and distance."""
-        last_frame, self._last_frame = self._last_frame, None
-        if last_frame is None:
-            return
-        nearest = self._nearest(T_previous)
-        c = self.config.tracking
-        if nearest is not None:
-            turn = rotation_angle(nearest.T_camera_model[:3, :3].T @ T_previous[:3, :3])
-            distance = float((T_previous[:3, :3] @ nearest.centre + T_previous[:3, 3])[2])
-            scale = max(distance / nearest.distance, nearest.distance / distance)
-            if turn < c.keyframe_angle and scale < c.keyframe_scale:
-                return
-        x0, y0, x1, y1 = last_frame.window
-        crop = np.ascontiguousarray(last_frame.grey[y0:y1, x0:x1])
-        inner = cv2.erode(
-            segmentation.fill(last_frame.mask.astype(np.float32)), np.ones((5, 5), np.uint8)
-        )
-        pixels = corners(crop, (inner > 0).astype(np.uint8) * 255, c.corners)
-        smooth = segmentation.smoothed(last_frame.depth, last_frame.mask)
-        if len(pixels):
-            at = np.rint(pixels).astype(int)
-            z = smooth[
-                np.clip(at[:, 1], 0, smooth.shape[0] - 1), np.clip(at[:, 0], 0, smooth.shape[1] - 1)
-            ]
-            pixels, z = pixels[z > 0], z[z > 0]
-        else:
-            z = np.zeros(0)
-        if len(pixels) < c.min_corners:
-            return
-        in_camera = camera.backproject(
-            pixels[:, 0] + float(x0), pixels[:, 1] + float(y0), z.astype(np.float64)
-        )
-        points = transform(invert(T_previous), in_camera)
-        centre = points.mean(axis=0)
-        distance = float((T_previous[:3, :3] @ centre + T_previous[:3, 3])[2])
-        self._keyframes.append(
-            _Keyframe(crop, (x0, y0), pixels, points, T_previous, centre, distance)
-        )
-        if len(self._keyframes) > MAX_KEYFRAMES:
-            del self._keyframes[1]  # the first one has the least drift and stays
-
-    def _nearest(self, T: Array) -> _Keyframe | None:
-        """The keyframe whose view of the target is nearest in direction and distance."""
-        if not self._keyframes:
-            return None
-
-        def dissimilarity(k: _Keyframe) -> float:
-            turn = rotation_angle(k.T_camera_model[:3, :3].T @ T[:3, :3])
-            distance = float((T[:3, :3] @ k.centre + T[:3, 3])[2])
-            return turn / 0.2 + abs(float(np.log(max(distance, 1e-3) / k.distance))) / 0.2
-
-        return min(self._keyframes, key=dissimilarity)
-
-    def _follow_features(
-        self, grey: Grey, window: Window, T: Array, camera: Intrinsics
-    ) -> Features:
-        key = self._nearest(T)
-        if key is None:
-            return Features(np.zeros((0, 3)), np.zeros((0, 2)))
-        x0, y0, x1, y1 = window
-        crop = np.ascontiguousarray(grey[y0:y1, x0:x1])
-        guess = camera.project(transform(T, key.points)) - np.array([x0, y0])
-        there, good = follow(key.crop, crop, key.pixels, guess.astype(np.float32))
-        return Features(key.points[good], there[good] + np.array([x0, y0]))
 
     # boxes
 
