@@ -71,6 +71,10 @@ class _ModelStart:
     plane: Plane | None
 
 
+# window px, the target's pixels in it (h, w), plane, and depth (h, w) m
+_Segmented = tuple[Window, NDArray[np.bool_], Plane | None, NDArray[np.float32]]
+
+
 class ModelTracker:
     """The tracker of this module. Deterministic: draws are keyed by the frame index."""
 
@@ -152,18 +156,18 @@ class ModelTracker:
         if segmented is None:
             self._image = ImageTrack(grey, box, self.config.tracking)
             return Tracked("tracked", self._inside(box, frame.camera), mask_area=0)
+        return self._start_model(frame, grey, box, segmented)
+
+    def _start_model(self, frame: Frame, grey: Grey, box: Box, segmented: _Segmented) -> Tracked:
         window, mask, plane, depth = segmented
         self._last_frame = LastFrame(grey, window, mask, depth)
         self._model_start = _ModelStart(box, plane)
         self._appearance.start(frame.colour, box, window, mask, frame.camera)
         self._area_m2 = _area(mask, depth, frame.camera)
-        return Tracked(
-            "tracked", self._inside(box, frame.camera), window, mask, int(mask.sum()), plane=plane
-        )
+        inside = self._inside(box, frame.camera)
+        return Tracked("tracked", inside, window, mask, int(mask.sum()), plane=plane)
 
-    def _segment_box(
-        self, frame: Frame, box: Box
-    ) -> tuple[Window, NDArray[np.bool_], Plane | None, NDArray[np.float32]] | None:
+    def _segment_box(self, frame: Frame, box: Box) -> _Segmented | None:
         window = segmentation.grow(box, 0.5, 10, frame.camera)
         if segmentation.is_empty(window):
             return None
@@ -212,11 +216,8 @@ class ModelTracker:
         segmented = self._segment_box(frame, self._image.box)
         if segmented is None:
             return Tracked("tracked", box)
-        window, mask, plane, depth = segmented
-        self._last_frame = LastFrame(grey, window, mask, depth)
-        self._model_start = _ModelStart(self._image.box, plane)
-        self._image = None
-        return Tracked("tracked", box, window, mask, int(mask.sum()), plane=plane)
+        followed, self._image = self._image.box, None
+        return self._start_model(frame, grey, followed, segmented)
 
     def _image_box(self, frame: Frame, grey: Grey) -> Box | None:
         assert self._image is not None
