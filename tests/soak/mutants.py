@@ -1318,8 +1318,8 @@ MUTANTS = [
     ),
     Mutant(
         MODEL_TRACKER,
-        "free &= ~self._appearance.unlike(frame.colour, window)",
-        "pass",
+        "depth, window, free & ~unlike, points,",
+        "depth, window, free, points,",
         TEST_LOOKS,
     ),
     Mutant(
@@ -1368,8 +1368,9 @@ MUTANTS = [
 
 
 def copy_tracked(target: Path) -> None:
-    """The tracked files as they are in the working tree, of data sets the demo, without pages."""
-    kept = ("dgeval", "benchmarks", "tests", "pyproject.toml", "datasets/demo.mcap")
+    """The tracked files as they are in the working tree, of data sets the demo and the renderer."""
+    data = ("datasets/demo.mcap", "datasets/raycast.py")
+    kept = ("dgeval", "benchmarks", "tests", "pyproject.toml", *data)
     command = ["git", "ls-files", "-z", *kept]
     listed = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout
     for name in filter(None, listed.split("\0")):
