@@ -66,10 +66,12 @@ def look_alikes(
         z = z[z > 0]
         if pixels < LEAST_PX:
             continue
-        # a few readings in a thing without depth are of what is behind it
-        measured = len(z) >= LEAST_MEASURED * pixels
-        distance = float(np.median(z)) if measured else z_expected
-        size = pixels * distance**2 / (frame.camera.fx * frame.camera.fy * area_m2)
+        # a few readings in a thing without depth may be of what is behind it
+        measured = len(z) >= max(LEAST_PX, LEAST_MEASURED * pixels)
+        distances = [float(np.median(z))] if len(z) >= LEAST_PX else []
+        distances += [] if measured else [z_expected]
+        seen_m2 = pixels / (frame.camera.fx * frame.camera.fy)
+        size = min((seen_m2 * d**2 / area_m2 for d in distances), key=lambda x: abs(np.log(x)))
         least, most = SIZES if measured else SIZES_UNMEASURED
         if not least < size < most:
             continue

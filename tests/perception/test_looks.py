@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from dgeval.geometry import Intrinsics
 from dgeval.perception.appearance import Appearance
+from dgeval.perception.redetection import look_alikes
 from dgeval.recording.frame import Frame
 from dgeval.replay.causal import Step
 from numpy.typing import NDArray
@@ -198,3 +199,19 @@ def test_a_few_readings_of_what_is_behind_do_not_make_the_target_too_large() -> 
     steps = run(frames, box_of(seen[0]))
     assert [overlap(s, m) > 0.6 for s, m in zip(steps[8:], seen[8:], strict=True)] == [True] * 6
     assert not any(s.accepted for s in steps[8:])
+
+
+@pytest.mark.parametrize("with_depth", [0, 10, 20, 24, 40])
+def test_a_small_look_alike_with_some_depth_is_weighed(with_depth: int) -> None:
+    """Fails where a thing of some 40 px has depth in half of them, and too few for a distance."""
+    image = patches((200, 30, 30), (120, 110, 100))
+    looks = learnt(image)
+    other = np.full_like(image, (120, 110, 100))
+    other[20:26, 20:28] = (200, 30, 30)
+    depth = np.zeros((120, 160), np.float32)
+    v, u = np.nonzero((other == (200, 30, 30)).all(axis=2))
+    depth[v[:with_depth], u[:with_depth]] = 1.0
+    camera = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0)
+    frame = Frame(1, 1, other, depth, camera, None, None)
+    found = look_alikes(looks, frame, np.zeros(depth.shape, dtype=bool), 48 / 150**2, 1.0)
+    assert len(found) == 1

@@ -1342,7 +1342,7 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/perception/redetection.py",
-        "measured = len(z) >= LEAST_MEASURED * pixels",
+        "measured = len(z) >= max(LEAST_PX, LEAST_MEASURED * pixels)",
         "measured = len(z) >= LEAST_PX",
         TEST_LOOKS,
     ),
