@@ -25,14 +25,13 @@ LEAST_PX = 25
 
 @dataclass(frozen=True)
 class Found:
-    """Something that looks like the target: its box px, pixels (H, W), and how alike, 0 to 1.
+    """Something that looks like the target: its box px and pixels (H, W).
 
     measured: its pixels have depth.
     """
 
     box: Box
     at: NDArray[np.bool_]
-    alike: float
     measured: bool
 
 
@@ -81,7 +80,7 @@ def look_alikes(
         at = np.zeros(frame.depth.shape, dtype=bool)
         at[here] = part
         box = segmentation.extent(part, (x, y, x + w, y + h))
-        found.append((alike * min(1.0, size, 1 / size), Found(box, at, alike, measured)))
+        found.append((alike * min(1.0, size, 1 / size), Found(box, at, measured)))
     return [one for _, one in sorted(found, key=lambda f: -f[0])]
 
 

@@ -289,9 +289,7 @@ class ModelTracker:
         hidden, self._hidden = segmentation.hidden_part(front, depth, unlike)
         if self._hidden > LEAST_HIDDEN:
             box = segmentation.seen_part(box, window, (front > 0) & ~hidden)
-        z2 = front[front > 0].astype(np.float64) ** 2
-        area = float(z2.sum() / (frame.camera.fx * frame.camera.fy))
-        self._area_m2 = max(self._area_m2, area)
+        self._area_m2 = max(self._area_m2, _area(front > 0, front, frame.camera))
         self._last_frame = LastFrame(grey, window, mask, depth)
         if plane is not None:
             self._plane_model = plane.moved(invert(T))
