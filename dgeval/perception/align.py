@@ -6,8 +6,19 @@ Both terms have robust weights.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dgeval.geometry import Array, Intrinsics, cross, increment
+from dgeval.config import TrackingConfig
+from dgeval.geometry import (
+    Array,
+    Intrinsics,
+    cross,
+    depth_sigma,
+    increment,
+    rotation_angle,
+    transform,
+)
+from dgeval.perception.types import Features, Model, Window
 
 SIGMA_PIXEL = 0.5  # px, standard deviation of a feature's position
 # Neighbouring depth pixels share their errors, because the camera's matching window spans several
@@ -75,3 +86,65 @@ def solve(H: Array, g: Array) -> Array:
     # damping
     damping = 1e-6 * np.trace(H) / 6 + 1e-9
     return increment(np.linalg.solve(H + damping * np.eye(6), g))
+
+
+def align_to_image(
+    depth: NDArray[np.float32],
+    window: Window,
+    free: NDArray[np.bool_],
+    model: Model,
+    features: Features,
+    T: Array,
+    camera: Intrinsics,
+    config: TrackingConfig,
+) -> tuple[Array, float, int, int]:
+    """T_camera_model (4, 4) refined on a window of the image, and how well the model fits there.
+
+    depth, free (h, w): m, and its pixels that may be the target's. features: of the target.
+
+    Also returns the share of compared model points whose depth agrees, the number of compared
+    points, and the number of features that agree.
+    """
+    step = max(1, len(model.points) // config.align_points)
+    points, normals = model.points[::step], model.normals[::step]
+    agree, used, n_features = 0.0, 0, 0
+    n_depth = 0
+    for i in range(config.iterations):
+        late = i / max(1, config.iterations - 1)
+        cutoff = 0.03 * (1 - late) + 0.008 * late
+        p = transform(T, points)
+        n = normals @ T[:3, :3].T
+        facing = np.einsum("ij,ij->i", n, p) < -0.2 * np.linalg.norm(p, axis=1)
+        p, n = p[facing], n[facing]
+        uv = np.rint(camera.project(p)).astype(int) - np.array(window[:2])
+        inside = (
+            (uv[:, 0] >= 0)
+            & (uv[:, 0] < depth.shape[1])
+            & (uv[:, 1] >= 0)
+            & (uv[:, 1] < depth.shape[0])
+        )
+        p, n, uv = p[inside], n[inside], uv[inside]
+        valid = free[uv[:, 1], uv[:, 0]]
+        p, n, uv = p[valid], n[valid], uv[valid]
+        z = depth[uv[:, 1], uv[:, 0]].astype(np.float64)
+        observed = camera.backproject(uv[:, 0] + float(window[0]), uv[:, 1] + float(window[1]), z)
+        H, g, used = depth_normal_equations(p, observed, n, depth_sigma(z), cutoff)
+        n_depth = len(p)
+        agree = float(np.mean(np.abs(p[:, 2] - z) < 0.012)) if n_depth else 0.0
+        if len(features.points):
+            in_camera = transform(T, features.points)
+            Hf, gf, n_features = feature_normal_equations(
+                in_camera, features.pixels, camera, 10.0 * (1 - late) + 2.0 * late
+            )
+            H, g = H + Hf, g + gf
+        if used + 2 * n_features < 10:
+            break
+        step_T = solve(H, g)
+        T = step_T @ T
+        if (
+            late > 0.6
+            and np.linalg.norm(step_T[:3, 3]) < 5e-5
+            and rotation_angle(step_T[:3, :3]) < 1e-4
+        ):
+            break
+    return T, agree, n_depth, n_features

@@ -17,7 +17,7 @@ from dgeval.perception.depth_noise import DepthNoise
 from dgeval.perception.estimation import Estimate, VelocityFilter
 from dgeval.perception.fusion import Fusion
 from dgeval.perception.observation import observe
-from dgeval.perception.registration import gate, register
+from dgeval.perception.registration import fit, gate, register
 from dgeval.perception.trackers import tracker_named
 from dgeval.perception.trackers.model import TrackingInput
 from dgeval.perception.types import Fused, Model, Observation, Registration, Tracked
@@ -153,15 +153,13 @@ def _register(
     ):
         return None
     start = tracked.T_camera_model if tracked.T_camera_model is not None else predicted
-    result = register(
-        observation,
-        state.fusion.model,
-        start,
-        tracked.features,
-        frame.camera,
-        config.registration,
-        state.noise,
-    )
+    model, settings, noise = state.fusion.model, config.registration, state.noise
+    if tracked.pose_stands:
+        result = fit(observation, model, start, settings, noise)
+    else:
+        result = register(
+            observation, model, start, tracked.features, frame.camera, settings, noise
+        )
     assert state.T_accepted is not None
     seconds = (frame.t_ns - state.accepted_ns) * 1e-9
     reason = gate(
@@ -194,7 +192,7 @@ def _fuse(
     elif registration is not None and registration.accepted:
         state.T_camera_model = state.T_prior = orthonormalise(registration.T_camera_model)
     else:
-        state.T_camera_model = predicted
+        state.T_camera_model = tracked.T_camera_model if tracked.pose_stands else predicted
         # the tracker's pose is no accepted registration, but the best place to look from next
         state.T_prior = tracked.T_camera_model if tracked.T_camera_model is not None else predicted
     reason = None

@@ -144,10 +144,7 @@ def register(
 ) -> Registration:
     """Register P_t to Q_{t-1} from a starting pose, refine with image features, measure the fit.
 
-    The gate is not applied. Fitness: share of P_t with a model point within the search radius.
-    Gate fitness: share with one within max(gate_distance, 2 sigma(z)) m along its normal, and no
-    farther beside it than the model's points are apart. noise: of this recording's depth, else the
-    sensor model's. rmse: m, over the points that count for the fitness.
+    The gate is not applied. noise: see `fit`.
     """
     T = BACKENDS[config.method](observation.points, model, invert(T_camera_model), config)
     if not np.isfinite(T).all():
@@ -155,6 +152,34 @@ def register(
     T = invert(np.asarray(T, dtype=np.float64))
     tree = KdTree(model.points, num_threads=1)
     T = _refine(T, observation, model, tree, features if config.colour else None, camera, config)
+    return _fit(T, observation, model, tree, config, noise)
+
+
+def fit(
+    observation: Observation,
+    model: Model,
+    T: Array,
+    config: RegistrationConfig,
+    noise: DepthNoise | None = None,
+) -> Registration:
+    """How well P_t fits Q_{t-1} at T_camera_model (4, 4), which is left as it is.
+
+    Fitness: share of P_t with a model point within the search radius. Gate fitness: share with one
+    within max(gate_distance, 2 sigma(z)) m along its normal, and no farther beside it than the
+    model's points are apart. noise: of this recording's depth, else the sensor model's. rmse: m,
+    over the points that count for the fitness.
+    """
+    return _fit(T, observation, model, KdTree(model.points, num_threads=1), config, noise)
+
+
+def _fit(
+    T: Array,
+    observation: Observation,
+    model: Model,
+    tree: KdTree,
+    config: RegistrationConfig,
+    noise: DepthNoise | None,
+) -> Registration:
     points = transform(invert(T), observation.points)
     index, distance = nearest(tree, points)
     matched = distance < config.search_radius

@@ -9,10 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dgeval.config import PlaneConfig
+from dgeval.config import Config, PlaneConfig
+from dgeval.determinism import generator
 from dgeval.geometry import Array, Box, Intrinsics, cross, depth_sigma
 from dgeval.perception.plane import Plane, fit_plane
+from dgeval.perception.self_filter import hand_pixels
 from dgeval.perception.types import Window
+from dgeval.recording.frame import Frame
 
 Mask = NDArray[np.bool_]
 # m; neighbouring pixels with a larger difference of depth (and over 1 % of the range) lie on
@@ -88,6 +91,23 @@ def surrounding_plane(
         u + float(window[0]), v + float(window[1]), depth[v, u].astype(np.float64)
     )
     return fit_plane(points, rng, config)
+
+
+def free_pixels(
+    frame: Frame, window: Window, inner: Box, config: Config
+) -> tuple[NDArray[np.float32], Mask, Plane | None]:
+    """Depth (h, w) m of a window, its pixels that are neither hand nor plane, and the plane.
+
+    inner: px, of the target; the plane is looked for around it.
+    """
+    depth = frame.depth[window[1] : window[3], window[0] : window[2]]
+    hand = np.zeros(depth.shape, dtype=bool)
+    if frame.hand is not None:
+        origin = (window[0], window[1])
+        hand = hand_pixels(depth, origin, frame.camera, frame.hand, config.self_filter.margin)
+    rng = generator(config.seed, "plane", frame.index)
+    plane = surrounding_plane(depth, window, inner, hand, frame.camera, rng, config.plane)
+    return depth, above_plane(depth, window, frame.camera, plane, config.plane) & ~hand, plane
 
 
 def height_map(

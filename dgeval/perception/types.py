@@ -40,6 +40,7 @@ class Tracked:
     box: x0, y0, x1, y1 px, inside the image. mask: the target's pixels with usable depth in
     `window`; mask_area: their number. T_camera_model (4, 4): the tracker's own pose, if it has one.
     confidence: that box and mask are the target's, 0 to 1; None where the tracker doesn't say.
+    pose_stands: that pose is a recorded one, which registration leaves as it is.
     occluded: something in front hides at least half of it. reacquired: it was lost in the frame
     before.
     """
@@ -55,6 +56,7 @@ class Tracked:
     confidence: float | None = None
     occluded: bool = False
     reacquired: bool = False
+    pose_stands: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from dgeval.recording.messages import pose_numbers, stamp_ns
 @dataclass(frozen=True, slots=True)
 class Detection:
     """One thing that a detector saw. box: px of the picture as recorded; of a 3-D detection it is
-    None, and T_frame_box (4, 4) and size (3,) m are known.
+    None, and T_frame_box (4, 4) and size (3,) m are known. name: the same in every message, or "".
     """
 
     t_ns: int
@@ -22,6 +22,7 @@ class Detection:
     box: Box | None
     T_frame_box: Array | None = None
     size: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    name: str = ""
 
 
 DETECTION_TYPES = frozenset(
@@ -42,11 +43,12 @@ def detections_of(message: Any) -> list[Detection]:
     for one in listed:
         t_ns = stamp_ns(one) or stamp
         here = one.header.frame_id.lstrip("/") or frame
+        name = str(getattr(one, "id", ""))
         if hasattr(one.bbox, "size"):
             size = tuple(float(getattr(one.bbox.size, axis)) for axis in "xyz")
             centre = one.bbox.center
             pose = matrix_from_pose(pose_numbers(centre.position, centre.orientation))
-            out.append(Detection(t_ns, here, None, pose, size))  # type: ignore[arg-type]
+            out.append(Detection(t_ns, here, None, pose, size, name))  # type: ignore[arg-type]
             continue
         centre = one.bbox.center
         at = getattr(centre, "position", centre)
@@ -57,5 +59,5 @@ def detections_of(message: Any) -> list[Detection]:
         c, s = abs(np.cos(theta)), abs(np.sin(theta))
         half = float(w * c + h * s) / 2, float(w * s + h * c) / 2
         box = (x - half[0], y - half[1], x + half[0], y + half[1])
-        out.append(Detection(t_ns, here, box))
+        out.append(Detection(t_ns, here, box, name=name))
     return out

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dgeval.geometry import Array, Intrinsics
+from dgeval.geometry import Array, Box, Intrinsics
 from dgeval.robots.description import LinkShape
 
 
@@ -19,6 +19,22 @@ class RecordedGrasp:
     score: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class MarkedThing:
+    """One thing that the log marks in a picture: as a mask, as a box, or by its pose.
+
+    box: x0 y0 x1 y1 px, of the picture as frames hold it. name: what the log calls it in every
+    picture; "" where it doesn't. pixels (h, w): of the box, of a mask only. T_camera_object (4, 4):
+    of a pose only. is_point: the box is around the pose's origin and says nothing of the size.
+    """
+
+    box: Box
+    name: str = ""
+    pixels: NDArray[np.bool_] | None = None
+    T_camera_object: Array | None = None
+    is_point: bool = False
+
+
 @dataclass(frozen=True)
 class Frame:
     """Colour and depth at a time, with the state of the robot.
@@ -26,7 +42,7 @@ class Frame:
     colour: (H, W, 3) uint8 RGB. depth: (H, W) float32, m, aligned to colour, 0 = no reading. hand:
     its solids with T_camera_shape; None where the hand's geometry is not known. grasp: the newest
     one in the log, or None. colour_file: the image's bytes as recorded where it was compressed, for
-    the review recording.
+    the review recording. marked: what the log marks in it, where the tracker asks for that.
     """
 
     index: int
@@ -39,3 +55,4 @@ class Frame:
     hand: list[tuple[LinkShape, Array]] | None = None
     grasp: RecordedGrasp | None = None
     colour_file: bytes | None = None
+    marked: tuple[MarkedThing, ...] = ()

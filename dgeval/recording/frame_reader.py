@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +15,7 @@ from dgeval.geometry import matrix_from_pose
 from dgeval.recording.camera import Camera
 from dgeval.recording.containers.container import Opened, RawMessage
 from dgeval.recording.contract import GRASP_TOPIC
-from dgeval.recording.frame import Frame, RecordedGrasp
+from dgeval.recording.frame import Frame, MarkedThing, RecordedGrasp
 from dgeval.recording.images import colour_from, decode_image
 from dgeval.recording.pairing import Pair
 from dgeval.recording.robot import RobotStates
@@ -51,7 +51,7 @@ class FrameReader:
     """Reads a trial's frames from its recording, as often as it is asked to.
 
     grasps: the robot's own choices with their stamps, ns, in time order; a frame gets the newest.
-    codec: of colour as video.
+    codec: of colour as video. marked: what the log marks, by the time of its picture, ns.
     """
 
     opened: Opened
@@ -63,6 +63,7 @@ class FrameReader:
     grasps: RecordedGrasps
     lost: LostFrames = field(compare=False)
     codec: str | None = None
+    marked: Mapping[int, tuple[MarkedThing, ...]] = field(default_factory=dict)
 
     def frames(self) -> Iterator[Frame]:
         """Frames in the order of their stamps, index from 0.
@@ -177,6 +178,7 @@ class FrameReader:
             self.robot.hand_shapes(t_ns),
             self.grasps[at - 1][1] if at else None,
             self._as_recorded(decoded),
+            self.marked.get(t_ns, ()),
         )
 
     def _as_recorded(self, decoded: Any) -> bytes | None:

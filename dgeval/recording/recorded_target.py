@@ -5,9 +5,11 @@ Each becomes boxes in the colour picture of a time. Which of several is the targ
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import product
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,12 +17,14 @@ from dgeval.geometry import Array, Box, matrix_from_pose, transform
 from dgeval.recording.camera import Camera
 from dgeval.recording.containers.container import Opened
 from dgeval.recording.detections import Detection
+from dgeval.recording.frame import MarkedThing
 from dgeval.recording.images import decode_image
 from dgeval.recording.messages import stamp_ns
 from dgeval.recording.pairing import Pair
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.scan import NOT_USABLE, Scan
 
+RECORDED = "recorded"  # the `tracking.method` that takes what the log marks
 SAME_IMAGE_NS = 20_000_000  # ns; a mark so near to an image's stamp is of that image; ours
 LEAST_PX = 10.0  # px; a smaller box holds nothing that can be followed; ours
 MOST_MARKS = 200  # messages with a mark that are looked at; ours
@@ -30,18 +34,26 @@ MOST_OF_PICTURE = 0.5  # share that a target covers at most in a mask; ours
 # boxes that may reach beyond it; ours
 IN_SHARES, BEYOND, MOST_BEYOND = 1.01, 1.05, 0.1
 ABOUT_M = 0.04  # m around an object's pose; no object is asked for its size; ours
+SAME_SHAPE = 0.01  # share; a mask whose sides have the picture's ratio within this shows all of it
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """What a topic marks in the colour picture of a time, ns: boxes, in the picture as frames hold
-    it. is_point: the box is around a point on the object, and says nothing of its size.
-    """
+    """What a topic marks in the colour picture of a time, ns."""
 
     topic: str
     t_ns: int
-    boxes: tuple[Box, ...]
-    is_point: bool = False
+    things: tuple[MarkedThing, ...]
+
+    @property
+    def boxes(self) -> tuple[Box, ...]:
+        """Of the things, x0 y0 x1 y1 px, in the picture as frames hold it."""
+        return tuple(thing.box for thing in self.things)
+
+    @property
+    def is_point(self) -> bool:
+        """Whether a box is around a point on the object, and says nothing of its size."""
+        return any(thing.is_point for thing in self.things)
 
 
 def marks_of(
@@ -50,8 +62,12 @@ def marks_of(
     pairs: tuple[Pair, ...],
     camera: Camera,
     robot: RobotStates,
+    most: int | None = MOST_MARKS,
 ) -> list[Mark]:
-    """The marks of topics in a trial's pictures, in time order; one for all in one picture."""
+    """The marks of topics in a trial's pictures, in time order; one for all in one picture.
+
+    most: of each topic that are looked at; None for all.
+    """
     stamps = np.array([p.t_ns for p in pairs], dtype=np.int64)
     out: dict[int, Mark] = {}
     for topic in topics:
@@ -60,27 +76,36 @@ def marks_of(
         seen: set[int] = set()
         for mark in _marks_of_topic(scan, topic, camera, robot):
             at = int(stamps[np.argmin(np.abs(stamps - mark.t_ns))])
-            boxes = tuple(b for box in mark.boxes if (b := _inside(box, camera)) is not None)
-            if abs(at - mark.t_ns) > SAME_IMAGE_NS or not boxes or at in seen:
+            things = tuple(
+                replace(thing, box=box)
+                for thing in mark.things
+                if (box := _inside(thing.box, camera)) is not None
+            )
+            if abs(at - mark.t_ns) > SAME_IMAGE_NS or not things or at in seen:
                 continue
             seen.add(at)
             before = out.get(at)
             names = topic if before is None else f"{before.topic}, {topic}"
-            others = () if before is None else before.boxes
-            is_point = mark.is_point or (before is not None and before.is_point)
-            out[at] = Mark(names, at, (*others, *boxes), is_point)
-            if len(seen) >= MOST_MARKS:
+            others = () if before is None else before.things
+            out[at] = Mark(names, at, (*others, *things))
+            if most is not None and len(seen) >= most:
                 break
     return [out[t] for t in sorted(out)]
 
 
 def of_another_size(scan: Scan, topic: str, camera: Camera) -> str:
-    """What is wrong with a topic of boxes in a picture of another size; "" where nothing is."""
+    """What is wrong with a topic that marks pictures of another size; "" where nothing is."""
+    k = camera.intrinsics
+    mask = scan.images.get(topic)
+    if mask is not None and not _shows_all(mask.width, mask.height, camera):
+        return (
+            f"the masks of {topic} are {mask.width}x{mask.height} for pictures of "
+            f"{k.width}x{k.height}: of another shape, and not used"
+        )
     listed = [d.box for d in scan.detections.get(topic, ()) if d.box is not None]
     if not listed:
         return ""
     boxes = np.array(listed)
-    k = camera.intrinsics
     if boxes.max() <= IN_SHARES:
         return f"the boxes of {topic} are in shares of the picture, not in px, and are not used"
     reach = (boxes[:, 2] > BEYOND * k.width) | (boxes[:, 3] > BEYOND * k.height)
@@ -93,7 +118,15 @@ def of_another_size(scan: Scan, topic: str, camera: Camera) -> str:
     )
 
 
-def _marks_of_topic(scan: Scan, topic: str, camera: Camera, robot: RobotStates) -> list[Mark]:
+def _shows_all(width: int, height: int, camera: Camera) -> bool:
+    """Whether a mask of this size, px, has the picture's shape."""
+    k = camera.intrinsics
+    return abs(width * k.height - height * k.width) <= SAME_SHAPE * width * k.height
+
+
+def _marks_of_topic(
+    scan: Scan, topic: str, camera: Camera, robot: RobotStates
+) -> Iterator[Mark] | list[Mark]:
     if topic in scan.images:
         return _of_masks(scan.opened, topic, camera)
     if topic in scan.detections:
@@ -101,9 +134,12 @@ def _marks_of_topic(scan: Scan, topic: str, camera: Camera, robot: RobotStates) 
     return _of_poses(scan, topic, camera, robot)
 
 
-def _of_masks(opened: Opened, topic: str, camera: Camera) -> list[Mark]:
-    """One box for each value of a mask that is not 0 and covers less than half of the picture."""
-    out: list[Mark] = []
+def _of_masks(opened: Opened, topic: str, camera: Camera) -> Iterator[Mark]:
+    """One thing for each value of a mask that is not 0 and covers less than half of the picture.
+
+    A mask of another size with the picture's shape is scaled.
+    """
+    size = (camera.intrinsics.width, camera.intrinsics.height)
     for message in opened.messages(frozenset({topic})):
         try:
             decoded = opened.decode(message)
@@ -115,35 +151,47 @@ def _of_masks(opened: Opened, topic: str, camera: Camera) -> list[Mark]:
         values = np.unique(mask[mask > 0])
         if not 0 < len(values) <= MOST_LABELS:
             continue
-        labels = [at for v in values if (at := mask == v).mean() < MOST_OF_PICTURE]
-        if labels:
-            out.append(Mark(topic, t_ns, tuple(_box_of(at, camera) for at in labels)))
-        if len(out) >= MOST_MARKS:
-            break
-    return out
+        things = []
+        for value in values:
+            at = (mask == value).astype(np.uint8)
+            if at.shape != size[::-1]:
+                at = np.asarray(cv2.resize(at, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+            if camera.lens is not None:
+                at = camera.lens.mask(at)
+            if 0 < at.mean() < MOST_OF_PICTURE:
+                things.append(_masked(at > 0, f"{topic}#{value}"))
+        if things:
+            yield Mark(topic, t_ns, tuple(things))
 
 
-def _box_of(at: NDArray[np.bool_], camera: Camera) -> Box:
-    rows, cols = np.nonzero(at)
-    box = (float(cols.min()), float(rows.min()), float(cols.max() + 1), float(rows.max() + 1))
-    return box if camera.lens is None else camera.lens.box(box)
+def _masked(at: NDArray[np.bool_], name: str) -> MarkedThing:
+    rows, cols = np.flatnonzero(at.any(axis=1)), np.flatnonzero(at.any(axis=0))
+    x0, x1, y0, y1 = int(cols[0]), int(cols[-1]) + 1, int(rows[0]), int(rows[-1]) + 1
+    box = (float(x0), float(y0), float(x1), float(y1))
+    return MarkedThing(box, name, at[y0:y1, x0:x1].copy())
 
 
 def _of_detections(
     detections: list[Detection], topic: str, camera: Camera, robot: RobotStates
 ) -> list[Mark]:
     """By the time of their image; those in a picture of another camera are left out."""
-    by_time: dict[int, list[Box]] = {}
+    by_time: dict[int, list[MarkedThing]] = {}
     for d in detections:
-        box = d.box
+        box, T_camera_object = d.box, None
         if box is not None:
             if d.frame not in ("", robot.camera_frame):
                 continue
             box = box if camera.lens is None else camera.lens.box(box)
         elif d.T_frame_box is not None:
-            box = _seen(_corners(d), d.frame, d.t_ns, camera, robot)
+            T = _T_camera_frame(d.frame, d.t_ns, robot)
+            if T is None:
+                continue
+            T_camera_object = T @ d.T_frame_box
+            box = _seen(transform(T, _corners(d)), camera)
         if box is not None:
-            by_time.setdefault(d.t_ns, []).append(box)
+            name = f"{topic}#{d.name}" if d.name else ""
+            thing = MarkedThing(box, name, T_camera_object=T_camera_object)
+            by_time.setdefault(d.t_ns, []).append(thing)
     return [Mark(topic, t, tuple(by_time[t])) for t in sorted(by_time)]
 
 
@@ -151,10 +199,14 @@ def _of_poses(scan: Scan, topic: str, camera: Camera, robot: RobotStates) -> lis
     out = []
     around = ABOUT_M * np.array(list(product((-1, 1), repeat=3)), dtype=float)
     for pose in scan.poses.get(topic, []):
-        place = matrix_from_pose(pose.pose)[:3, 3]
-        box = _seen(around + place, pose.parent, pose.t_ns, camera, robot)
+        T = _T_camera_frame(pose.parent, pose.t_ns, robot)
+        if T is None:
+            continue
+        T_camera_object = T @ matrix_from_pose(pose.pose)
+        box = _seen(around + T_camera_object[:3, 3], camera)
         if box is not None:
-            out.append(Mark(topic, pose.t_ns, (box,), True))
+            thing = MarkedThing(box, topic, T_camera_object=T_camera_object, is_point=True)
+            out.append(Mark(topic, pose.t_ns, (thing,)))
     return out
 
 
@@ -165,16 +217,17 @@ def _corners(detection: Detection) -> Array:
     return transform(detection.T_frame_box, half * np.array(list(product((-1, 1), repeat=3))))
 
 
-def _seen(points: Array, frame: str, t_ns: int, camera: Camera, robot: RobotStates) -> Box | None:
-    """The box around points (n, 3) m of a frame, in the picture; None behind the camera or where
-    the frame is not known.
-    """
+def _T_camera_frame(frame: str, t_ns: int, robot: RobotStates) -> Array | None:
+    """(4, 4) at a time, ns; None where the frame is not known."""
     T = robot.tree.lookup(robot.camera_frame, frame or robot.camera_frame, t_ns)
     if T is None and frame in ("", robot.camera_frame):
-        T = np.eye(4)
-    if T is None:
-        return None
-    x, y, z = transform(T, points).T
+        return np.eye(4)
+    return None if T is None else np.asarray(T)
+
+
+def _seen(points: Array, camera: Camera) -> Box | None:
+    """The box px around points (n, 3) m, camera frame, in the picture; None behind the camera."""
+    x, y, z = points.T
     if (z <= 0.01).any():
         return None
     k = camera.intrinsics

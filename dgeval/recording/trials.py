@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dgeval.config import Config
 from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.geometry import Intrinsics
-from dgeval.recording.camera import camera_of
+from dgeval.recording.camera import Camera, camera_of
 from dgeval.recording.check import Check
 from dgeval.recording.checks import (
     clock_check,
@@ -25,10 +25,11 @@ from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import CLOSE_EVENT, EventKind
 from dgeval.recording.events import Events, events_within
-from dgeval.recording.frame import Frame
+from dgeval.recording.frame import Frame, MarkedThing
 from dgeval.recording.frame_reader import FrameReader, LostFrames, recorded_grasps
 from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.pairing import Pair, Window, pair_images, stamp_notes, window_of
+from dgeval.recording.recorded_target import RECORDED, SAME_IMAGE_NS, marks_of, of_another_size
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles, image_topics
 from dgeval.recording.scan import Scan, scan
@@ -175,7 +176,17 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     ]
     grasps, lost = recorded_grasps(scanned), LostFrames(opened.damage)
     codec = scanned.images[colour].codec
-    reader = FrameReader(opened, colour, depth, window.pairs, camera, robot, grasps, lost, codec)
+    things: dict[int, tuple[MarkedThing, ...]] = {}
+    if config.tracking.method == RECORDED:
+        things = _marked(scanned, roles.target, window.pairs, camera, robot, place)
+        if len(things) < len(window.pairs):
+            notes.append(
+                f"{', '.join(roles.target)} marks something in {len(things)} of "
+                f"{len(window.pairs)} frames; in the others the target counts as lost"
+            )
+    reader = FrameReader(
+        opened, colour, depth, window.pairs, camera, robot, grasps, lost, codec, things
+    )
     close_ns = events.first_ns(CLOSE_EVENT)
     checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock, close_ns)
     if not spec.parts:
@@ -205,6 +216,29 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
 def _given(t_ns: int | None, after_s: float | None, first_ns: int) -> int | None:
     """A time that a person gave, as a stamp, ns, or s after the first frame."""
     return first_ns + round(after_s * 1e9) if after_s is not None else t_ns
+
+
+def _marked(
+    scanned: Scan,
+    topics: tuple[str, ...],
+    pairs: tuple[Pair, ...],
+    camera: Camera,
+    robot: RobotStates,
+    place: Place,
+) -> dict[int, tuple[MarkedThing, ...]]:
+    """What the log marks, by the time of its picture, ns. UnreadableError where that is nothing."""
+    marks = marks_of(scanned, topics, pairs, camera, robot, most=None)
+    if marks:
+        return {mark.t_ns: mark.things for mark in marks}
+    others = [what for topic in topics if (what := of_another_size(scanned, topic, camera))]
+    near = f"within {SAME_IMAGE_NS // 1_000_000} ms of a picture's stamp"
+    why = "; ".join(others) or (
+        f"{', '.join(topics)} marks nothing {near}"
+        if topics
+        else "no topic holds masks, detections or an object's poses"
+    )
+    hint = "name the topic with --set roles.target=…, or leave --set tracking.method=… out"
+    raise UnreadableError(f"tracking.method = {RECORDED!r}: {why}", place, hint)
 
 
 def _check_box(

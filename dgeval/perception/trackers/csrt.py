@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 
 from dgeval.config import Config
-from dgeval.determinism import generator
 from dgeval.perception import segmentation
-from dgeval.perception.self_filter import hand_pixels
+from dgeval.perception.boxes import inside, visible
 from dgeval.perception.trackers.model import TrackingInput
 from dgeval.perception.types import Tracked
 
@@ -42,36 +41,13 @@ class CsrtTracker:
             self._box = (float(x), float(y), float(x + w), float(y + h)) if success else None
         if self._box is None:
             return Tracked("lost")
-        inside = (
-            max(0.0, self._box[0]),
-            max(0.0, self._box[1]),
-            min(float(frame.camera.width), self._box[2]),
-            min(float(frame.camera.height), self._box[3]),
-        )
-        area = (self._box[2] - self._box[0]) * (self._box[3] - self._box[1])
-        visible_area = max(0.0, inside[2] - inside[0]) * max(0.0, inside[3] - inside[1])
-        if area <= 0 or visible_area / area < self.config.tracking.min_visible:
+        if visible(self._box, frame.camera) < self.config.tracking.min_visible:
             return Tracked("lost")
         window = segmentation.grow(self._box, 0.5, 10, frame.camera)
-        depth = frame.depth[window[1] : window[3], window[0] : window[2]]
-        hand = np.zeros(depth.shape, dtype=bool)
-        if frame.hand is not None:
-            hand = hand_pixels(
-                depth,
-                (window[0], window[1]),
-                frame.camera,
-                frame.hand,
-                self.config.self_filter.margin,
-            )
-        rng = generator(self.config.seed, "plane", frame.index)
-        plane = segmentation.surrounding_plane(
-            depth, window, self._box, hand, frame.camera, rng, self.config.plane
-        )
-        free = (
-            segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane) & ~hand
-        )
+        depth, free, plane = segmentation.free_pixels(frame, window, self._box, self.config)
         mask = segmentation.segment_box(depth, window, free, self._box)
-        return Tracked("tracked", inside, window, mask, int(mask.sum()), plane=plane)
+        box = inside(self._box, frame.camera)
+        return Tracked("tracked", box, window, mask, int(mask.sum()), plane=plane)
 
 
 METHOD, STAND_IN, TRACKER = "csrt", "CSRT", CsrtTracker

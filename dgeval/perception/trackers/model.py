@@ -13,23 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.config import Config
-from dgeval.determinism import generator
-from dgeval.geometry import Array, Box, Intrinsics, depth_sigma, invert, rotation_angle, transform
+from dgeval.geometry import Array, Box, Intrinsics, invert, rotation_angle, transform
 from dgeval.perception import align, segmentation
 from dgeval.perception.appearance import LEAST_SEPARABLE, Appearance
+from dgeval.perception.boxes import inside, overlap, projected_box, visible
 from dgeval.perception.keyframes import Keyframes, LastFrame
 from dgeval.perception.plane import Plane
 from dgeval.perception.redetection import LEAST_ALIKE, look_alikes, put_at
 from dgeval.perception.self_filter import hand_pixels
 from dgeval.perception.trackers.image import Grey, ImageTrack
-from dgeval.perception.types import Features, Model, Tracked, Window
+from dgeval.perception.types import Model, Tracked, Window
 from dgeval.recording.frame import Frame
 
 GROWTH_PX = 6  # px beyond the model's silhouette in which new parts of the target are accepted
 RIM_FRAMES = 15  # accepted frames at the start in which the rim is measured
 RIM_SHARE = 0.05  # of the box's size; a larger difference does not come from the rim
 RIM_ANGLE = 0.12  # rad; after a larger rotation other parts of the target make its outline
-BASE_HEIGHT = 0.012  # m; model points lower than this above the plane belong to the target's base
 # a model is started if the pixels with depth cover at least these shares of the box: by the overlap
 # of their extent with it, and by area
 MIN_COVER, MIN_FILL = 0.5, 0.2
@@ -155,7 +154,7 @@ class ModelTracker:
         segmented = self._segment_box(frame, box)
         if segmented is None:
             self._image = ImageTrack(grey, box, self.config.tracking)
-            return Tracked("tracked", self._inside(box, frame.camera), mask_area=0)
+            return Tracked("tracked", inside(box, frame.camera), mask_area=0)
         return self._start_model(frame, grey, box, segmented)
 
     def _start_model(self, frame: Frame, grey: Grey, box: Box, segmented: _Segmented) -> Tracked:
@@ -164,45 +163,23 @@ class ModelTracker:
         self._model_start = _ModelStart(box, plane)
         self._appearance.start(frame.colour, box, window, mask, frame.camera)
         self._area_m2 = _area(mask, depth, frame.camera)
-        inside = self._inside(box, frame.camera)
-        return Tracked("tracked", inside, window, mask, int(mask.sum()), plane=plane)
+        return Tracked(
+            "tracked", inside(box, frame.camera), window, mask, int(mask.sum()), plane=plane
+        )
 
     def _segment_box(self, frame: Frame, box: Box) -> _Segmented | None:
         window = segmentation.grow(box, 0.5, 10, frame.camera)
         if segmentation.is_empty(window):
             return None
-        depth, free, plane = self._free(frame, window, box)
+        depth, free, plane = segmentation.free_pixels(frame, window, box, self.config)
         mask = segmentation.segment_box(depth, window, free, box)
         if int(mask.sum()) < self.config.observation.min_points:
             return None
         area = (box[2] - box[0]) * (box[3] - box[1])
         filled = int((segmentation.fill(mask.astype(np.float32), 5) > 0).sum())
-        if _overlap(segmentation.extent(mask, window), box) < MIN_COVER or filled < MIN_FILL * area:
+        if overlap(segmentation.extent(mask, window), box) < MIN_COVER or filled < MIN_FILL * area:
             return None  # a patch of depth in the box is not the object in it
         return window, mask, plane, depth
-
-    def _free(
-        self, frame: Frame, window: Window, inner: Box
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_], Plane | None]:
-        """Depth m of a window, its pixels that are neither hand nor plane, and the plane."""
-        depth = frame.depth[window[1] : window[3], window[0] : window[2]]
-        hand = np.zeros(depth.shape, dtype=bool)
-        if frame.hand is not None:
-            hand = hand_pixels(
-                depth,
-                (window[0], window[1]),
-                frame.camera,
-                frame.hand,
-                self.config.self_filter.margin,
-            )
-        rng = generator(self.config.seed, "plane", frame.index)
-        plane = segmentation.surrounding_plane(
-            depth, window, inner, hand, frame.camera, rng, self.config.plane
-        )
-        free = (
-            segmentation.above_plane(depth, window, frame.camera, plane, self.config.plane) & ~hand
-        )
-        return depth, free, plane
 
     # colour alone
 
@@ -224,10 +201,10 @@ class ModelTracker:
         agree = self._image.step(grey)
         if (
             agree < self.config.tracking.min_corners
-            or self._visible(self._image.box, frame.camera) < self._min_visible()
+            or visible(self._image.box, frame.camera) < self._min_visible()
         ):
             return None
-        return self._inside(self._image.box, frame.camera)
+        return inside(self._image.box, frame.camera)
 
     # the model
 
@@ -250,18 +227,18 @@ class ModelTracker:
         guess = self._with_rim(
             projected_box(model.points[::4], T_predicted, frame.camera, None), model, T_predicted
         )
-        if guess is None or self._visible(guess, frame.camera) < self._min_visible():
+        if guess is None or visible(guess, frame.camera) < self._min_visible():
             return Tracked("lost")
         window = segmentation.grow(guess, 0.3, 12, frame.camera)
-        depth, free, plane = self._free(frame, window, guess)
+        depth, free, plane = segmentation.free_pixels(frame, window, guess, self.config)
         if plane is None and self._plane_model is not None:
             # too little of the surface near the target has depth to fit the plane again
             plane = self._plane_model.moved(T_predicted)
             depth, free = self._crop(frame, window, plane)
         features = self._keyframes.follow(grey, window, T_predicted, frame.camera)
         free &= ~self._appearance.unlike(frame.colour, window)
-        T, agree, n_depth, n_features = self._align(
-            depth, window, free, model, features, T_predicted, frame.camera
+        T, agree, n_depth, n_features = align.align_to_image(
+            depth, window, free, model, features, T_predicted, frame.camera, c
         )
         self._agree = agree
         needed = c.min_agree if self._lost_since is None else 0.5 * (1 + c.min_agree)
@@ -277,7 +254,7 @@ class ModelTracker:
         if not by_depth and not by_colour:
             return Tracked("lost", plane=plane)
         box = self._with_rim(projected_box(model.points, T, frame.camera, plane), model, T)
-        if box is None or self._visible(box, frame.camera) < self._min_visible():
+        if box is None or visible(box, frame.camera) < self._min_visible():
             return Tracked("lost", plane=plane)
         points = transform(T, model.points)
         window = segmentation.grow(box, 0.15, 8, frame.camera)
@@ -293,8 +270,9 @@ class ModelTracker:
         self._last_frame = LastFrame(grey, window, mask, depth)
         if plane is not None:
             self._plane_model = plane.moved(invert(T))
-        inside = self._inside(box, frame.camera)
-        return Tracked("tracked", inside, window, mask, int(mask.sum()), T, features, plane)
+        return Tracked(
+            "tracked", inside(box, frame.camera), window, mask, int(mask.sum()), T, features, plane
+        )
 
     def _crop(
         self, frame: Frame, window: Window, plane: Plane | None
@@ -308,68 +286,6 @@ class ModelTracker:
                 depth, origin, frame.camera, frame.hand, self.config.self_filter.margin
             )
         return depth, free
-
-    def _align(
-        self,
-        depth: NDArray[np.float32],
-        window: Window,
-        free: NDArray[np.bool_],
-        model: Model,
-        features: Features,
-        T: Array,
-        camera: Intrinsics,
-    ) -> tuple[Array, float, int, int]:
-        """T_camera_model refined, and how well it fits.
-
-        Also returns the share of compared model points whose depth agrees, the number of compared
-        points, and the number of features that agree.
-        """
-        c = self.config.tracking
-        step = max(1, len(model.points) // c.align_points)
-        points, normals = model.points[::step], model.normals[::step]
-        agree, used, n_features = 0.0, 0, 0
-        n_depth = 0
-        for i in range(c.iterations):
-            late = i / max(1, c.iterations - 1)
-            cutoff = 0.03 * (1 - late) + 0.008 * late
-            p = transform(T, points)
-            n = normals @ T[:3, :3].T
-            facing = np.einsum("ij,ij->i", n, p) < -0.2 * np.linalg.norm(p, axis=1)
-            p, n = p[facing], n[facing]
-            uv = np.rint(camera.project(p)).astype(int) - np.array(window[:2])
-            inside = (
-                (uv[:, 0] >= 0)
-                & (uv[:, 0] < depth.shape[1])
-                & (uv[:, 1] >= 0)
-                & (uv[:, 1] < depth.shape[0])
-            )
-            p, n, uv = p[inside], n[inside], uv[inside]
-            valid = free[uv[:, 1], uv[:, 0]]
-            p, n, uv = p[valid], n[valid], uv[valid]
-            z = depth[uv[:, 1], uv[:, 0]].astype(np.float64)
-            observed = camera.backproject(
-                uv[:, 0] + float(window[0]), uv[:, 1] + float(window[1]), z
-            )
-            H, g, used = align.depth_normal_equations(p, observed, n, depth_sigma(z), cutoff)
-            n_depth = len(p)
-            agree = float(np.mean(np.abs(p[:, 2] - z) < 0.012)) if n_depth else 0.0
-            if len(features.points):
-                in_camera = transform(T, features.points)
-                Hf, gf, n_features = align.feature_normal_equations(
-                    in_camera, features.pixels, camera, 10.0 * (1 - late) + 2.0 * late
-                )
-                H, g = H + Hf, g + gf
-            if used + 2 * n_features < 10:
-                break
-            step_T = align.solve(H, g)
-            T = step_T @ T
-            if (
-                late > 0.6
-                and np.linalg.norm(step_T[:3, 3]) < 5e-5
-                and rotation_angle(step_T[:3, :3]) < 1e-4
-            ):
-                break
-        return T, agree, n_depth, n_features
 
     # what it looks like
 
@@ -436,7 +352,7 @@ class ModelTracker:
             tracked = self._follow_model(frame, grey, model, T, searched=True)
             if (
                 tracked.box is not None
-                and _overlap(tracked.box, best.box) > LEAST_SHARED
+                and overlap(tracked.box, best.box) > LEAST_SHARED
                 and self._looks(frame, tracked) >= LEAST_ALIKE
             ):
                 return tracked
@@ -478,63 +394,14 @@ class ModelTracker:
         ).tolist()
         return x0, y0, x1, y1
 
-    def _inside(self, box: Box, camera: Intrinsics) -> Box:
-        return (
-            min(max(box[0], 0.0), float(camera.width)),
-            min(max(box[1], 0.0), float(camera.height)),
-            min(max(box[2], 0.0), float(camera.width)),
-            min(max(box[3], 0.0), float(camera.height)),
-        )
-
-    def _visible(self, box: Box, camera: Intrinsics) -> float:
-        """Share of the box's area inside the image."""
-        inside = self._inside(box, camera)
-        area = (box[2] - box[0]) * (box[3] - box[1])
-        return (inside[2] - inside[0]) * (inside[3] - inside[1]) / area if area > 0 else 0.0
-
     def _min_visible(self) -> float:
         return self.config.tracking.min_visible
-
-
-def projected_box(
-    points: Array, T_camera_model: Array, camera: Intrinsics, plane: Plane | None
-) -> Box | None:
-    """Box px of the projected model points (n, 3) m, without the few outermost ones, or None.
-
-    None with too few points in front of the camera. The removal of the plane also removes the
-    lowest millimetres of the target, so the lowest points are also projected onto the plane.
-    """
-    p = transform(T_camera_model, points)
-    p = p[p[:, 2] > 0.05]
-    if len(p) < 10:
-        return None
-    pixels = camera.project(p)
-    low, high = np.quantile(pixels, [0.001, 0.999], axis=0)
-    if plane is not None:
-        height = plane.height(p)
-        base = p[(height > 0) & (height < BASE_HEIGHT)]
-        base = base - plane.height(base)[:, None] * plane.n
-        base = base[base[:, 2] > 0.05]
-        if len(base) >= 20:
-            low_base, high_base = np.quantile(camera.project(base), [0.01, 0.99], axis=0)
-            low, high = np.minimum(low, low_base), np.maximum(high, high_base)
-    return float(low[0]), float(low[1]), float(high[0] + 1), float(high[1] + 1)
 
 
 def _area(mask: NDArray[np.bool_], depth: NDArray[np.float32], camera: Intrinsics) -> float:
     """m^2, of a mask's pixels at their depth, seen from the camera."""
     z = depth[mask].astype(np.float64)
     return float((z * z).sum() / (camera.fx * camera.fy))
-
-
-def _overlap(a: Box, b: Box) -> float:
-    """Intersection over union of two boxes."""
-    w = min(a[2], b[2]) - max(a[0], b[0])
-    h = min(a[3], b[3]) - max(a[1], b[1])
-    if w <= 0 or h <= 0:
-        return 0.0
-    both = w * h
-    return both / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - both)
 
 
 METHOD, STAND_IN, TRACKER = "model", "model tracker", ModelTracker
