@@ -23,6 +23,10 @@ from dgeval.perception.trackers.model import TrackingInput
 from dgeval.perception.types import Fused, Model, Observation, Registration, Tracked
 from dgeval.recording.frame import Frame
 
+# after so many frames in a row that the gate refused by their fit, though more than this share of
+# each lies within the search radius of the model: what all of them show counts in the next as well
+REFUSED_FRAMES, NEAR_ALL = 3, 0.95
+
 
 @dataclass(frozen=True)
 class Perceived:
@@ -73,6 +77,7 @@ class Perception:
         self.fusion = Fusion(self.config.fusion)
         self.velocity = VelocityFilter(self.config.estimation)
         self.noise = DepthNoise()
+        self.refused: list[Model] = []  # the last frames, refused in a row, by their fit alone
         self.T_camera_model: Array | None = None
         self.T_prior: Array | None = None
         self.T_accepted: Array | None = None
@@ -162,16 +167,26 @@ def _register(
         )
     assert state.T_accepted is not None
     seconds = (frame.t_ns - state.accepted_ns) * 1e-9
-    reason = gate(
-        result,
-        state.T_accepted,
-        state.fusion.model.points.mean(axis=0),
-        seconds,
-        config.registration,
-    )
-    return Registration(
-        result.T_camera_model, result.fitness, result.gate_fitness, result.rmse, reason
-    )
+    centroid = model.points.mean(axis=0)
+    reason = gate(result, state.T_accepted, centroid, seconds, settings)
+    # the frame shows more than the model; a pose that nothing has fitted may as well be wrong
+    shows_more = reason == "fitness" and result.fitness > NEAR_ALL and not tracked.pose_stands
+    if shows_more and len(state.refused) == REFUSED_FRAMES:
+        again = fit(observation, model, result.T_camera_model, settings, noise, state.refused)
+        reason = gate(again, state.T_accepted, centroid, seconds, settings)
+        if reason is None:
+            result = again
+            state.fusion.previous_are([seen.points for seen in state.refused])
+    if shows_more and reason is not None:
+        T_model_camera = invert(result.T_camera_model)
+        seen = Model(
+            transform(T_model_camera, observation.points),
+            observation.normals @ T_model_camera[:3, :3].T,
+        )
+        state.refused = [*state.refused, seen][-REFUSED_FRAMES:]
+    else:
+        state.refused = []
+    return replace(result, reject_reason=reason)
 
 
 def _fuse(

@@ -7,10 +7,11 @@ benchmarks/registration.py decides which one is the default.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from small_gicp import KdTree
 
 from dgeval.config import RegistrationConfig
@@ -152,7 +153,7 @@ def register(
     T = invert(np.asarray(T, dtype=np.float64))
     tree = KdTree(model.points, num_threads=1)
     T = _refine(T, observation, model, tree, features if config.colour else None, camera, config)
-    return _fit(T, observation, model, tree, config, noise)
+    return _fit(T, observation, model, tree, config, noise, ())
 
 
 def fit(
@@ -161,15 +162,17 @@ def fit(
     T: Array,
     config: RegistrationConfig,
     noise: DepthNoise | None = None,
+    also: Sequence[Model] = (),
 ) -> Registration:
     """How well P_t fits Q_{t-1} at T_camera_model (4, 4), which is left as it is.
 
     Fitness: share of P_t with a model point within the search radius. Gate fitness: share with one
     within max(gate_distance, 2 sigma(z)) m along its normal, and no farther beside it than the
     model's points are apart. noise: of this recording's depth, else the sensor model's. rmse: m,
-    over the points that count for the fitness.
+    over the points that count for the fitness. also: clouds, model frame; what each of them matches
+    counts for the gate fitness as well.
     """
-    return _fit(T, observation, model, KdTree(model.points, num_threads=1), config, noise)
+    return _fit(T, observation, model, KdTree(model.points, num_threads=1), config, noise, also)
 
 
 def _fit(
@@ -179,17 +182,36 @@ def _fit(
     tree: KdTree,
     config: RegistrationConfig,
     noise: DepthNoise | None,
+    also: Sequence[Model],
 ) -> Registration:
     points = transform(invert(T), observation.points)
-    index, distance = nearest(tree, points)
+    limit = np.maximum(
+        config.gate_distance, 2 * (noise or DepthNoise()).sigma(observation.points[:, 2])
+    )
+    distance, close = _matches(points, model, tree, limit, config)
+    if also:
+        each = [
+            _matches(points, cloud, KdTree(cloud.points, num_threads=1), limit, config)[1]
+            for cloud in also
+        ]
+        close |= np.all(each, axis=0)
     matched = distance < config.search_radius
-    z = observation.points[:, 2]
-    limit = np.maximum(config.gate_distance, 2 * (noise or DepthNoise()).sigma(z))
-    along = np.abs(np.einsum("ij,ij->i", points - model.points[index], model.normals[index]))
-    beside = np.sqrt(np.maximum(distance**2 - along**2, 0.0))
-    close = (along < limit) & (beside < max(config.gate_distance, APART * spacing(model, tree)))
     rmse = float(np.sqrt(np.mean(distance[matched] ** 2))) if matched.any() else None
     return Registration(T, float(matched.mean()), float(close.mean()), rmse, None)
+
+
+def _matches(
+    points: Array, model: Model, tree: KdTree, limit: Array, config: RegistrationConfig
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Distances (n,) m of points (n, 3), model frame, to a model, and which of them match it.
+
+    limit (n,): m, along the model's normal.
+    """
+    index, distance = nearest(tree, points)
+    along = np.abs(np.einsum("ij,ij->i", points - model.points[index], model.normals[index]))
+    beside = np.sqrt(np.maximum(distance**2 - along**2, 0.0))
+    most = max(config.gate_distance, APART * spacing(model, tree))
+    return distance, (along < limit) & (beside < most)
 
 
 def spacing(model: Model, tree: KdTree) -> float:
