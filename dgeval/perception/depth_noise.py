@@ -24,6 +24,7 @@ LEAST = 400  # differences, from which on the noise at a range is known
 # times the noise of the sensor model, within which a measured one is believed: beyond it poses
 # are wrong, or something else moves
 BELIEVED = 1.0, 3.0
+TOLD_M = 0.5  # m, at which a noise that is not measured is told
 
 
 @dataclass
@@ -87,6 +88,22 @@ class DepthNoise:
         if not len(known):
             return np.ones(len(z))
         return np.asarray(np.interp(z, known, factors))
+
+    def told(self) -> str:
+        """For a trial's notes: the noise where it is known, and by what."""
+        known, factors = self.measured()
+        if not len(known):
+            z = TOLD_M
+            return (
+                f"depth noise: {depth_sigma(z) * 1e3:.1f} mm at {z:g} m by the sensor model, not "
+                "measured: no camera poses, or too little that stands still and is smooth"
+            )
+        ends = sorted({0, len(known) - 1})
+        sigmas = [
+            f"{f * depth_sigma(z) * 1e3:.1f} mm at {z:.2f} m"
+            for z, f in zip(known[ends], factors[ends], strict=True)
+        ]
+        return f"depth noise: {', '.join(sigmas)}, measured between frames by the camera's poses"
 
     def measured(self) -> tuple[Array, Array]:
         """Ranges (r,) m in which the noise is known, and its factor on the sensor model's (r,)."""

@@ -15,6 +15,7 @@ from dgeval.determinism import generator
 from dgeval.geometry import Array, Box, invert, orthonormalise, transform
 from dgeval.perception.depth_noise import DepthNoise
 from dgeval.perception.estimation import Estimate, VelocityFilter
+from dgeval.perception.free_space import seen_through
 from dgeval.perception.fusion import Fusion
 from dgeval.perception.observation import observe
 from dgeval.perception.registration import fit, gate, register
@@ -223,7 +224,11 @@ def _fuse(
         if registration is not None and state.fusion.model is not None:
             centre = transform(T_model_camera, observation.points).mean(axis=0)
             residual = float(np.linalg.norm(centre - state.fusion.model.points.mean(axis=0)))
-        n_filtered = state.fusion.step(observation, T_model_camera, rng)
+        through = None
+        if state.fusion.model is not None:
+            in_camera = transform(state.T_camera_model, state.fusion.model.points)
+            through = seen_through(in_camera, frame.depth, frame.camera)
+        n_filtered = state.fusion.step(observation, T_model_camera, rng, through)
         state.T_accepted, state.accepted_ns = state.T_camera_model, frame.t_ns
     model, centroid = state.fusion.model, None
     if model is not None and state.T_camera_model is not None:

@@ -226,7 +226,16 @@ def _replay_trial(
         write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
     row, exit_code, messages = trial_row(
-        trial, config, counts, t_execute_ns, last_ns, judgement, target, seen, estimates
+        trial,
+        config,
+        counts,
+        t_execute_ns,
+        last_ns,
+        judgement,
+        target,
+        seen,
+        estimates,
+        (perception.noise.told(),),
     )
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
     shown = None if judgement.shown is None else shown_as_json(judgement.shown)
@@ -252,12 +261,13 @@ def trial_row(
     target: FoundTarget | None = None,
     seen: FirstSeen | None = None,
     estimates: Estimates | None = None,
+    perceived: tuple[str, ...] = (),
 ) -> tuple[dict[str, Any], int, list[str]]:
     """The trial's row without its digests, the exit code, and messages for the user.
 
     t_execute_ns: time of the first frame in which the replay would have closed. last_ns: time of
     the last frame. target: as it was found, where no box was given. seen: where it was first seen.
-    estimates: as given to the run.
+    estimates: as given to the run. perceived: notes of the perception.
     """
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
@@ -300,6 +310,7 @@ def trial_row(
         "notes": "; ".join(
             [
                 *trial_notes(trial, config, counts),
+                *perceived,
                 *target_note(trial, target),
                 *map(str, of_target),
                 *_other_word(spec.cause, judgement),

@@ -59,3 +59,11 @@ def test_what_is_measured_at_one_range_holds_at_others() -> None:
     """The factor on the sensor model is carried to ranges that the recording doesn't show."""
     noise = seen(2 * float(depth_sigma(1.1)), 0.0, 0.0)
     assert noise.sigma(np.array([0.6])) == pytest.approx(2 * depth_sigma(np.array([0.6])), rel=0.1)
+
+
+def test_the_noise_and_its_source_are_told() -> None:
+    """Fails where a reader can't tell a measured noise from an assumed one."""
+    assert seen(0.004, 0.0, 0.0).told() == (
+        "depth noise: 4.0 mm at 1.10 m, measured between frames by the camera's poses"
+    )
+    assert DepthNoise().told().startswith("depth noise: 1.2 mm at 0.5 m by the sensor model, not")
