@@ -27,6 +27,34 @@ LEAST_SEPARABLE = 0.6  # colours that tell the target less from its surroundings
 BESIDE_PX = 4  # px beside the target's box that are neither it nor its surroundings
 
 
+class Colours:
+    """The bins of an image's colours; what was asked for once is not worked out again."""
+
+    def __init__(self, image: Image) -> None:
+        self._image = image
+        self._window: Window = (0, 0, 0, 0)
+        self._bins = np.zeros((0, 0), np.uint16)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the image."""
+        return self._image.shape[0], self._image.shape[1]
+
+    def of(self, window: Window) -> NDArray[np.uint16]:
+        """(h, w) of a window of the image."""
+        x0, y0, x1, y1 = window
+        a, b, c, d = self._window
+        if not (a <= x0 and b <= y0 and x1 <= c and y1 <= d):
+            self._window, self._bins = window, colours(self._image[y0:y1, x0:x1])
+            a, b = x0, y0
+        return self._bins[y0 - b : y1 - b, x0 - a : x1 - a]
+
+    def all(self) -> NDArray[np.uint16]:
+        """(H, W) of the whole image."""
+        height, width = self.shape
+        return self.of((0, 0, width, height))
+
+
 class Appearance:
     """The colours of the target, of what is beside it now, and of the first image around it.
 
@@ -43,12 +71,14 @@ class Appearance:
         """Whether a target has been learnt."""
         return self._first is not None
 
-    def start(self, image: Image, box: Box, window: Window, mask: Mask, camera: Intrinsics) -> None:
+    def start(
+        self, seen: Colours, box: Box, window: Window, mask: Mask, camera: Intrinsics
+    ) -> None:
         """Learn a new target: its mask in a window of the image, and its box px.
 
         A mask that is too small, or that leaves nothing around it, teaches nothing.
         """
-        target = np.zeros(image.shape[:2], dtype=bool)
+        target = np.zeros(seen.shape, dtype=bool)
         target[window[1] : window[3], window[0] : window[2]] = mask
         around = np.ones(target.shape, dtype=bool)
         x0, y0, x1, y1 = segmentation.grow(box, 0.0, BESIDE_PX, camera)
@@ -58,12 +88,14 @@ class Appearance:
         near[y0:y1, x0:x1] = around[y0:y1, x0:x1]
         if min(int(part.sum()) for part in (target, near, around)) < LEAST_PIXELS:
             return
-        bins = colours(image)
+        bins = seen.all()
         self._first = self._recent = histogram(bins[target])
         self._near, self._around = histogram(bins[near]), histogram(bins[around])
         self._weigh()
 
-    def learn(self, image: Image, box: Box, window: Window, mask: Mask, camera: Intrinsics) -> None:
+    def learn(
+        self, seen: Colours, box: Box, window: Window, mask: Mask, camera: Intrinsics
+    ) -> None:
         """Learn how the target and what is near it look now, as `start`."""
         if self._first is None:
             return
@@ -73,8 +105,8 @@ class Appearance:
         near[b - y0 : d - y0, a - x0 : c - x0] = False
         if min(int(mask.sum()), int(near.sum())) < LEAST_PIXELS:
             return
-        own = colours(image[window[1] : window[3], window[0] : window[2]])[mask]
-        other = colours(image[y0:y1, x0:x1])[near]
+        other = seen.of((x0, y0, x1, y1))[near]
+        own = seen.of(window)[mask]
         self._recent = (1 - RECENT) * self._recent + RECENT * histogram(own)
         self._near = (1 - RECENT) * self._near + RECENT * histogram(other)
         self._weigh()
@@ -86,11 +118,11 @@ class Appearance:
         self._table, self.separable = _against(self._target, around)
         self._table_near, self.separable_near = _against(self._target, self._near)
 
-    def likelihood(self, image: Image) -> NDArray[np.float32]:
-        """(h, w) how likely each pixel is the target's, 0 to 1, anywhere."""
-        return np.asarray(self._table[colours(image)])
+    def likelihood(self, seen: Colours) -> NDArray[np.float32]:
+        """(H, W) how likely each pixel is the target's, 0 to 1, anywhere."""
+        return np.asarray(self._table[seen.all()])
 
-    def unlike(self, image: Image, window: Window) -> Mask:
+    def unlike(self, seen: Colours, window: Window) -> Mask:
         """Pixels of a window near the target that do not have its colours but those beside it.
 
         None of them where its colours don't tell it from what is beside it.
@@ -98,15 +130,15 @@ class Appearance:
         x0, y0, x1, y1 = window
         if self.separable_near < LEAST_SEPARABLE:
             return np.zeros((y1 - y0, x1 - x0), dtype=bool)
-        likely = self._table_near[colours(image[y0:y1, x0:x1])]
+        likely = self._table_near[seen.of(window)]
         unlike = (cv2.blur(likely, (3, 3)) < UNLIKE).astype(np.uint8)
         size = max(3, round(PATCH * min(x1 - x0, y1 - y0)) | 1)
         square = np.ones((size, size), np.uint8)
         return np.asarray(cv2.morphologyEx(unlike, cv2.MORPH_OPEN, square) > 0)
 
-    def alike(self, image: Image, at: Mask) -> float:
+    def alike(self, seen: Colours, window: Window, at: Mask) -> float:
         """Bhattacharyya coefficient of the colours of a mask (h, w) and of the target, 0 to 1."""
-        return float(np.sqrt(histogram(colours(image)[at]) * self._target).sum())
+        return float(np.sqrt(histogram(seen.of(window)[at]) * self._target).sum())
 
 
 def colours(image: Image) -> NDArray[np.uint16]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dgeval.geometry import Array, Box, transform
 from dgeval.perception import segmentation
-from dgeval.perception.appearance import LEAST_SEPARABLE, LIKELY, Appearance
+from dgeval.perception.appearance import LEAST_SEPARABLE, LIKELY, Appearance, Colours
 from dgeval.perception.types import Model
 from dgeval.recording.frame import Frame
 
@@ -38,18 +38,20 @@ class Found:
 def look_alikes(
     appearance: Appearance,
     frame: Frame,
+    seen: Colours,
     blocked: NDArray[np.bool_],
     area_m2: float,
     z_expected: float,
 ) -> list[Found]:
     """Everything in a frame that has the target's colours and size, the best first.
 
-    blocked (H, W): pixels of the hand. area_m2: of the target, seen from where it was. z_expected:
-    m, where a thing has no depth. Nothing where colours don't tell the target from the rest.
+    seen: the frame's colours. blocked (H, W): pixels of the hand. area_m2: of the target, seen from
+    where it was. z_expected: m, where a thing has no depth. Nothing where colours don't tell the
+    target from the rest.
     """
     if appearance.separable < LEAST_SEPARABLE:
         return []
-    likely = cv2.blur(appearance.likelihood(frame.colour), (SMOOTH_PX, SMOOTH_PX)) > LIKELY
+    likely = cv2.blur(appearance.likelihood(seen), (SMOOTH_PX, SMOOTH_PX)) > LIKELY
     likely &= ~blocked
     joined = cv2.dilate(likely.astype(np.uint8), np.ones((APART_PX, APART_PX), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
@@ -74,7 +76,7 @@ def look_alikes(
         least, most = SIZES if measured else SIZES_UNMEASURED
         if not least < size < most:
             continue
-        alike = appearance.alike(frame.colour[here], part)
+        alike = appearance.alike(seen, (x, y, x + w, y + h), part)
         if alike < LEAST_ALIKE:
             continue
         at = np.zeros(frame.depth.shape, dtype=bool)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from dgeval.geometry import Intrinsics
-from dgeval.perception.appearance import Appearance
+from dgeval.perception.appearance import Appearance, Colours
 from dgeval.perception.redetection import look_alikes
 from dgeval.recording.frame import Frame
 from dgeval.replay.causal import Step
@@ -135,7 +135,7 @@ def learnt(image: NDArray[np.uint8]) -> Appearance:
     window = (55, 35, 105, 85)
     mask = np.zeros((50, 50), dtype=bool)
     mask[5:45, 5:45] = True
-    looks.start(image, (60.0, 40.0, 100.0, 80.0), window, mask, camera)
+    looks.start(Colours(image), (60.0, 40.0, 100.0, 80.0), window, mask, camera)
     return looks
 
 
@@ -144,10 +144,10 @@ def test_a_mark_on_the_target_in_the_colour_of_the_table_is_the_target_s() -> No
     image = patches((200, 30, 30), (120, 110, 100))
     looks = learnt(image)
     assert looks.separable_near > 0.6
-    unlike = looks.unlike(image, (55, 35, 105, 85))
+    unlike = looks.unlike(Colours(image), (55, 35, 105, 85))
     assert not unlike[5:45, 5:45].any()
     image[40:60, 60:100] = (120, 110, 100)  # half of the target is behind something
-    assert looks.unlike(image, (55, 35, 105, 85))[8:20, 8:40].all()
+    assert looks.unlike(Colours(image), (55, 35, 105, 85))[8:20, 8:40].all()
 
 
 def test_colours_that_tell_nothing_are_not_used() -> None:
@@ -155,7 +155,7 @@ def test_colours_that_tell_nothing_are_not_used() -> None:
     image = patches((122, 111, 101), (120, 110, 100))
     looks = learnt(image)
     assert looks.separable_near < 0.6
-    assert not looks.unlike(image, (55, 35, 105, 85)).any()
+    assert not looks.unlike(Colours(image), (55, 35, 105, 85)).any()
 
 
 def test_the_first_mask_keeps_half_of_the_weight() -> None:
@@ -166,10 +166,10 @@ def test_the_first_mask_keeps_half_of_the_weight() -> None:
     window, mask = (5, 5, 25, 25), np.ones((20, 20), dtype=bool)
     image[5:25, 5:25] = (30, 30, 200)
     for _ in range(200):
-        looks.learn(image, (5.0, 5.0, 25.0, 25.0), window, mask, camera)
-    assert looks.alike(image[40:58, 60:100], np.ones((18, 40), dtype=bool)) == pytest.approx(
-        np.sqrt(0.5), abs=0.05
-    )
+        looks.learn(Colours(image), (5.0, 5.0, 25.0, 25.0), window, mask, camera)
+    assert looks.alike(
+        Colours(image), (60, 40, 100, 58), np.ones((18, 40), dtype=bool)
+    ) == pytest.approx(np.sqrt(0.5), abs=0.05)
 
 
 def test_the_camera_s_pose_is_not_needed_to_find_the_target_again() -> None:
@@ -213,5 +213,7 @@ def test_a_small_look_alike_with_some_depth_is_weighed(with_depth: int) -> None:
     depth[v[:with_depth], u[:with_depth]] = 1.0
     camera = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0)
     frame = Frame(1, 1, other, depth, camera, None, None)
-    found = look_alikes(looks, frame, np.zeros(depth.shape, dtype=bool), 48 / 150**2, 1.0)
+    found = look_alikes(
+        looks, frame, Colours(other), np.zeros(depth.shape, dtype=bool), 48 / 150**2, 1.0
+    )
     assert len(found) == 1

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dgeval.config import Config
 from dgeval.geometry import Array, Box, Intrinsics, invert, rotation_angle, transform
 from dgeval.perception import align, segmentation
-from dgeval.perception.appearance import LEAST_SEPARABLE, Appearance
+from dgeval.perception.appearance import LEAST_SEPARABLE, Appearance, Colours
 from dgeval.perception.boxes import inside, overlap, projected_box, visible
 from dgeval.perception.keyframes import Keyframes, LastFrame
 from dgeval.perception.plane import Plane
@@ -99,6 +99,7 @@ class ModelTracker:
     def step(self, given: TrackingInput) -> Tracked:
         """The target's box, mask, pose and features in the next frame."""
         frame = given.frame
+        self._seen = Colours(frame.colour)
         grey = np.asarray(cv2.cvtColor(frame.colour, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         if given.box is not None:
             self.reset()
@@ -115,12 +116,12 @@ class ModelTracker:
             self._learn_rim(given.model, given.T_previous, frame.camera)
         was_lost = self._lost_since is not None
         tracked = self._follow_model(frame, grey, given.model, given.T_predicted)
-        alike = self._looks(frame, tracked)
+        alike = self._looks(tracked)
         if tracked.state == "lost" or alike < LEAST_ALIKE:
             hidden = self._hidden_at(frame, given.model, given.T_predicted)
             lost = Tracked("lost", plane=tracked.plane, confidence=0.0, occluded=hidden > HALF)
             tracked = self._search(frame, grey, given.model, given.T_predicted, lost)
-            alike = self._looks(frame, tracked)
+            alike = self._looks(tracked)
         if tracked.state == "lost":
             self._lost_since = self._lost_since if was_lost else frame.t_ns
             return tracked
@@ -140,9 +141,10 @@ class ModelTracker:
         """
         kept = (self._lost_since, self._last_frame, self._plane_model, self._agree, self._hidden)
         area_m2, self._lost_since = self._area_m2, None
+        self._seen = Colours(frame.colour)
         grey = np.asarray(cv2.cvtColor(frame.colour, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         tracked = self._follow_model(frame, grey, model, T_camera_model)
-        if self._looks(frame, tracked) < LEAST_ALIKE:
+        if self._looks(tracked) < LEAST_ALIKE:
             tracked = Tracked("lost", plane=tracked.plane)
         self._lost_since, self._last_frame, self._plane_model, self._agree, self._hidden = kept
         self._area_m2 = area_m2
@@ -161,7 +163,7 @@ class ModelTracker:
         window, mask, plane, depth = segmented
         self._last_frame = LastFrame(grey, window, mask, depth)
         self._model_start = _ModelStart(box, plane)
-        self._appearance.start(frame.colour, box, window, mask, frame.camera)
+        self._appearance.start(self._seen, box, window, mask, frame.camera)
         self._area_m2 = _area(mask, depth, frame.camera)
         return Tracked(
             "tracked", inside(box, frame.camera), window, mask, int(mask.sum()), plane=plane
@@ -236,7 +238,7 @@ class ModelTracker:
             plane = self._plane_model.moved(T_predicted)
             depth, free = self._crop(frame, window, plane)
         features = self._keyframes.follow(grey, window, T_predicted, frame.camera)
-        free &= ~self._appearance.unlike(frame.colour, window)
+        free &= ~self._appearance.unlike(self._seen, window)
         T, agree, n_depth, n_features = align.align_to_image(
             depth, window, free, model, features, T_predicted, frame.camera, c
         )
@@ -259,7 +261,7 @@ class ModelTracker:
         points = transform(T, model.points)
         window = segmentation.grow(box, 0.15, 8, frame.camera)
         depth, free = self._crop(frame, window, plane)
-        unlike = self._appearance.unlike(frame.colour, window)
+        unlike = self._appearance.unlike(self._seen, window)
         mask, front = segmentation.segment_model(
             depth, window, free & ~unlike, points, frame.camera, GROWTH_PX
         )
@@ -297,17 +299,16 @@ class ModelTracker:
             return
         if self._agree >= LEARNT_AGREE and alike >= LEARNT_ALIKE:
             self._appearance.learn(
-                frame.colour, tracked.box, tracked.window, tracked.mask, frame.camera
+                self._seen, tracked.box, tracked.window, tracked.mask, frame.camera
             )
 
-    def _looks(self, frame: Frame, tracked: Tracked) -> float:
+    def _looks(self, tracked: Tracked) -> float:
         """How alike the tracked pixels and the target are, 0 to 1; 1 where nothing tells."""
         if tracked.mask is None or tracked.window is None or not self._appearance.known:
             return 1.0
         if self._appearance.separable_near < LEAST_SEPARABLE or not tracked.mask.any():
             return 1.0
-        x0, y0, x1, y1 = tracked.window
-        return self._appearance.alike(frame.colour[y0:y1, x0:x1], tracked.mask)
+        return self._appearance.alike(self._seen, tracked.window, tracked.mask)
 
     def _confidence(self, tracked: Tracked, alike: float) -> float:
         """That what is tracked is the target: the least of what looks, depth and features say."""
@@ -342,7 +343,7 @@ class ModelTracker:
             margin = self.config.self_filter.margin
             blocked = hand_pixels(frame.depth, (0, 0), frame.camera, frame.hand, margin)
         z = max(float(transform(T_predicted, model.points.mean(axis=0)[None])[0, 2]), NEAREST_M)
-        found = look_alikes(self._appearance, frame, blocked, self._area_m2, z)
+        found = look_alikes(self._appearance, frame, self._seen, blocked, self._area_m2, z)
         if not found:
             return lost
         best = found[0]
@@ -353,7 +354,7 @@ class ModelTracker:
             if (
                 tracked.box is not None
                 and overlap(tracked.box, best.box) > LEAST_SHARED
-                and self._looks(frame, tracked) >= LEAST_ALIKE
+                and self._looks(tracked) >= LEAST_ALIKE
             ):
                 return tracked
         self._agree = 0.0
