@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from dgeval.config import Config
 from dgeval.determinism import generator
@@ -27,6 +28,8 @@ from dgeval.recording.frame import Frame
 # after so many frames in a row that the gate refused by their fit, though more than this share of
 # each lies within the search radius of the model: what all of them show counts in the next as well
 REFUSED_FRAMES, NEAR_ALL = 3, 0.95
+# a turn that is slower, rad/s, or differs from that of the frame before by this share, is noise
+LEAST_TURN, UNSTEADY = 1.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ class Perception:
 
     T_camera_model (4, 4): of the last frame, accepted or predicted. T_prior: the pose that the next
     prediction starts from. T_accepted, accepted_ns: the last accepted pose and its time, ns.
+    turn (3,): rad/s, rotation vector in base axes, of the time turn_ns.
     feature (3,): the feature point whose velocity is estimated, m, model frame. T_base_camera: of
     the last frame. All None before there is one. accepted: whether the last frame was merged.
     """
@@ -86,20 +90,44 @@ class Perception:
         self.feature: Array | None = None
         self.T_base_camera: Array | None = None
         self.accepted = False
+        self.turn, self.turn_ns = np.zeros(3), 0
+        self._R_before: Array | None = None
+        self._turned = np.zeros(3)
 
     def predict(self, frame: Frame, T_base_camera: Array | None) -> Array | None:
         """T_camera_model (4, 4) at this frame, before its images are used; None without a model.
 
-        The camera's motion and the estimated velocity carry the last pose. The object is assumed
-        not to rotate.
+        The camera's motion and the estimated velocity carry the last pose, and its turn if the
+        object was seen to turn.
         """
         if self.T_prior is None:
             return None
         if T_base_camera is None or self.T_base_camera is None:
             return self.T_prior
         T_base_model = self.T_base_camera @ self.T_prior
+        model = self.fusion.model
+        if model is not None and float(np.linalg.norm(self.turn)) > LEAST_TURN:
+            R = Rotation.from_rotvec(self.turn * (frame.t_ns - self.turn_ns) * 1e-9).as_matrix()
+            centre = transform(T_base_model, model.points.mean(axis=0)[None])[0]
+            T_base_model[:3, :3] = R @ T_base_model[:3, :3]
+            T_base_model[:3, 3] = centre + R @ (T_base_model[:3, 3] - centre)
         T_base_model[:3, 3] += self.velocity.ahead(frame.t_ns)
         return orthonormalise(invert(T_base_camera) @ T_base_model)
+
+    def learn_turn(self, t_ns: int, T_base_camera: Array | None, is_measured: bool) -> None:
+        """The object's turn from the last frame to this; none where it was not seen in both."""
+        before, self._R_before = self._R_before, None
+        if T_base_camera is None or self.T_prior is None or not is_measured:
+            self.turn = np.zeros(3)
+            return
+        R = T_base_camera[:3, :3] @ self.T_prior[:3, :3]
+        if before is not None and t_ns > self.turn_ns:
+            seconds = (t_ns - self.turn_ns) * 1e-9
+            turned = Rotation.from_matrix(R @ before.T).as_rotvec() / seconds
+            apart, most = (float(np.linalg.norm(v)) for v in (turned - self._turned, turned))
+            self.turn = (turned + self._turned) / 2 if apart < UNSTEADY * most else np.zeros(3)
+            self._turned = turned
+        self._R_before, self.turn_ns = R, t_ns
 
     def step(
         self, frame: Frame, T_base_camera: Array | None, box: Box | None, lap: Callable[[str], None]
@@ -135,6 +163,9 @@ class Perception:
         lap("fusion")
         estimate = _estimate(self, frame, T_base_camera)
         lap("estimation")
+        self.learn_turn(
+            frame.t_ns, T_base_camera, self.accepted or tracked.T_camera_model is not None
+        )
         self.T_base_camera = T_base_camera
         return Perceived(tracked, observation, registration, fused, estimate)
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from dgeval.config import load_config
 from dgeval.geometry import Intrinsics, invert, rotation_angle
+from dgeval.perception.pipeline import Perception
 from dgeval.perception.segmentation import points_of
 from dgeval.perception.trackers.model import ModelTracker, TrackingInput
 from dgeval.recording.frame import Frame
@@ -224,3 +225,48 @@ def test_a_gap_in_the_frames_is_bridged_by_the_velocity() -> None:
     after = steps[12]
     assert after.row["tracking"] == "tracked"
     assert after.row["icp_accepted"]
+
+
+def test_a_box_that_turns_ever_faster_keeps_its_sides() -> None:
+    """Fails where the last pose is where the next is looked for: from 4 rad/s on, 8 degrees a
+    frame, the gate refuses, and a box is soon taken for one that is turned by 10 degrees.
+    """
+
+    def turning(k: int) -> np.ndarray:
+        t, gain, most = k / 30, 4.0, 6.0  # s, rad/s^2, rad/s
+        angle = gain * t * t / 2 if gain * t < most else most * (t - most / gain / 2)
+        T = at(0.0, -0.2, HALF[2] + 0.15)
+        T[:3, :3] = Rotation.from_rotvec(np.array([0.35, 0.25, 0.9]) * angle).as_matrix()
+        return T
+
+    frames, boxes = make(48, turning)
+    steps = run(frames, boxes[0])
+    first = invert(T_BASE_CAMERA) @ turning(0)
+    wrong = []
+    for k, step in enumerate(steps):
+        assert step.T_camera_model is not None
+        T_model, T_camera_object = step.T_camera_model @ first, invert(T_BASE_CAMERA) @ turning(k)
+        wrong.append(np.degrees(rotation_angle(T_model[:3, :3].T @ T_camera_object[:3, :3])))
+    assert np.median(wrong[32:]) < 6.0
+
+
+def test_a_turn_that_is_not_steady_is_not_carried_on() -> None:
+    """Fails where the jitter of a small thing's pose is taken for its turn."""
+    perception = Perception(load_config("dynamic", ()))
+    rng = np.random.default_rng(0)
+    turns = []
+    for k in range(40):
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.05, 3)).as_matrix()
+        perception.T_prior = T
+        perception.learn_turn(k * PERIOD_NS, np.eye(4), True)
+        turns.append(float(np.linalg.norm(perception.turn)))
+    assert np.mean(np.array(turns) > 0) < 0.35
+    steady = Rotation.from_rotvec([0.0, 0.0, 0.1])
+    for k in range(40, 45):
+        T[:3, :3] = steady.as_matrix() @ T[:3, :3]
+        perception.T_prior = T.copy()
+        perception.learn_turn(k * PERIOD_NS, np.eye(4), True)
+    assert perception.turn == pytest.approx([0.0, 0.0, 3.0], abs=0.01)
+    perception.learn_turn(45 * PERIOD_NS, np.eye(4), False)
+    assert not perception.turn.any(), "what is not seen is not known to turn on"

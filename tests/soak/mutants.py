@@ -1294,8 +1294,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/perception/registration.py",
-        "close = (along < limit) & (beside",
-        "close = (distance < limit) & (beside",
+        "(along < limit) & (beside < most)",
+        "(distance < limit) & (beside < most)",
         "tests/perception/test_stages.py",
     ),
     Mutant(
@@ -1363,6 +1363,90 @@ MUTANTS = [
         "PATCH = 0.2 ",
         "PATCH = 0.0 ",
         TEST_LOOKS,
+    ),
+    Mutant(
+        "dgeval/perception/fusion.py",
+        "min(LEAST_IN_CUBE, fit)",
+        "min(0, fit)",
+        "tests/perception/test_model_keeps.py",
+    ),
+    Mutant(
+        "dgeval/perception/free_space.py",
+        "z > expected + margin",
+        "z > expected",
+        "tests/perception/test_model_keeps.py",
+    ),
+    Mutant(
+        "dgeval/perception/fusion.py",
+        "if stays.sum() >= LEAST_KEPT * len(stays):",
+        "if True:",
+        "tests/perception/test_model_keeps.py",
+    ),
+    Mutant(
+        "dgeval/perception/registration.py",
+        "close |= np.all(each, axis=0)",
+        "close |= np.any(each, axis=0)",
+        "tests/perception/test_refusals.py",
+    ),
+    Mutant(
+        "dgeval/perception/pipeline.py",
+        "[*state.refused, seen][-REFUSED_FRAMES:]",
+        "[]",
+        "tests/perception/test_refusals.py",
+    ),
+    Mutant(
+        "dgeval/perception/pipeline.py",
+        "state.fusion.previous_are([seen.points for seen in state.refused])",
+        "pass",
+        "tests/perception/test_refusals.py",
+    ),
+    Mutant(
+        "dgeval/perception/pipeline.py",
+        "if apart < UNSTEADY * most else np.zeros(3)",
+        "",
+        "tests/perception/test_tracking.py",
+    ),
+    Mutant(
+        "dgeval/perception/pipeline.py",
+        "> LEAST_TURN:",
+        "> 1e9:",
+        "tests/perception/test_tracking.py",
+    ),
+    Mutant(
+        "dgeval/perception/pipeline.py",
+        "if tracked.pose_stands else predicted",
+        "if False else predicted",
+        "tests/perception/test_recorded_tracker.py",
+    ),
+    Mutant(
+        "dgeval/perception/pipeline.py",
+        "    if tracked.pose_stands:\n",
+        "    if False:\n",
+        "tests/perception/test_recorded_tracker.py",
+    ),
+    Mutant(
+        "dgeval/perception/trackers/recorded.py",
+        "        if self._name:\n",
+        "        if False:\n",
+        "tests/perception/test_recorded_tracker.py",
+    ),
+    Mutant(
+        "dgeval/perception/trackers/recorded.py",
+        "round(thing.box[0]) - window[0]",
+        "round(thing.box[0]) - window[0] + 2",
+        "tests/perception/test_recorded_tracker.py",
+    ),
+    Mutant(
+        "dgeval/recording/recorded_target.py",
+        'f"{topic}#{d.name}" if d.name else ""',
+        '""',
+        "tests/recording/test_recorded_tracking.py",
+    ),
+    Mutant(
+        "dgeval/recording/recorded_target.py",
+        "if at.shape != size[::-1]:",
+        "if False:",
+        "tests/recording/test_recorded_tracking.py",
     ),
 ]
 
