@@ -393,8 +393,7 @@ def surface_points(model: ObjectModel, n: int, rng: np.random.Generator) -> Arra
     """Points (n, 3) m on the drawn surface of the object, uniform by area, object frame."""
     import trimesh
 
-    solids = [_part_mesh(p) for p in model.parts if model.mesh is None or p.kind == "capsule"]
-    walls = [] if model.mesh is None else [trimesh.Trimesh(*model.mesh, process=False)]
+    walls, solids = _drawn(model)
     mesh = trimesh.util.concatenate([*solids, *walls])
     areas = np.cumsum(mesh.area_faces)
     batches: list[Array] = []
@@ -413,6 +412,23 @@ def surface_points(model: ObjectModel, n: int, rng: np.random.Generator) -> Arra
             hidden |= (outside @ solid.face_normals.T <= reach).all(axis=1)
         batches.append(points[~hidden])
     return np.concatenate(batches)[:n]
+
+
+def drawn_mesh(model: ObjectModel):  # type: ignore[no-untyped-def]
+    """The drawn surface as one triangle mesh, object frame, m; parts may lie in one another."""
+    import trimesh
+
+    walls, solids = _drawn(model)
+    return trimesh.util.concatenate([*walls, *solids])
+
+
+def _drawn(model: ObjectModel):  # type: ignore[no-untyped-def]
+    """Meshes of what is drawn: the model's own, and its solids or, beside a mesh, its capsules."""
+    import trimesh
+
+    solids = [_part_mesh(p) for p in model.parts if model.mesh is None or p.kind == "capsule"]
+    walls = [] if model.mesh is None else [trimesh.Trimesh(*model.mesh, process=False)]
+    return walls, solids
 
 
 def _part_mesh(part: Part):  # type: ignore[no-untyped-def]
