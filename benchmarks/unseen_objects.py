@@ -1,7 +1,7 @@
 """Tracking of objects that nothing was made or tuned for: meshes of random kind, size and texture.
 
-`dgeval simulate` renders the recordings, with the hand in view and its grasp, lift and failures; the
-tracker gets the recording alone. About half a minute for each object to render and to replay.
+`dgeval simulate` renders the recordings, with the hand in view and its grasp, lift and failures;
+the tracker gets the recording alone. About half a minute for each object to render and to replay.
 
 python -m benchmarks.unseen_objects --out FOLDER --seed 7707
 """
