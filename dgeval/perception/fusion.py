@@ -65,10 +65,6 @@ class Fusion:
         self.model: Model | None = None
         self._previous: list[KdTree] = []
 
-    def previous_are(self, observations: Sequence[Array]) -> None:
-        """Take these, (n, 3) m, model frame, in place of the last accepted observations."""
-        self._previous = [KdTree(points) for points in observations]
-
     def step(
         self,
         observation: Observation,

@@ -208,7 +208,6 @@ def _register(
         reason = gate(again, state.T_accepted, centroid, seconds, settings)
         if reason is None:
             result = again
-            state.fusion.previous_are([seen.points for seen in state.refused])
     if shows_more and reason is not None:
         T_model_camera = invert(result.T_camera_model)
         seen = Model(

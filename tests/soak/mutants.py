@@ -1396,12 +1396,6 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/perception/pipeline.py",
-        "state.fusion.previous_are([seen.points for seen in state.refused])",
-        "pass",
-        "tests/perception/test_refusals.py",
-    ),
-    Mutant(
-        "dgeval/perception/pipeline.py",
         "if apart < UNSTEADY * most else np.zeros(3)",
         "",
         "tests/perception/test_tracking.py",
