@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dgeval.config import Config
+from dgeval.config import Config, RegistrationConfig
 from dgeval.determinism import generator
 from dgeval.geometry import Array, Box, invert, orthonormalise, transform
 from dgeval.perception.depth_noise import DepthNoise
@@ -188,6 +188,7 @@ def _register(
         or tracked.state != "tracked"
         or predicted is None
     ):
+        state.refused = []
         return None
     start = tracked.T_camera_model if tracked.T_camera_model is not None else predicted
     model, settings, noise = state.fusion.model, config.registration, state.noise
@@ -197,26 +198,35 @@ def _register(
         result = register(
             observation, model, start, tracked.features, frame.camera, settings, noise
         )
-    assert state.T_accepted is not None
-    seconds = (frame.t_ns - state.accepted_ns) * 1e-9
-    centroid = model.points.mean(axis=0)
-    reason = gate(result, state.T_accepted, centroid, seconds, settings)
+    result = _gated(state, frame.t_ns, result, model, settings)
     # the frame shows more than the model; a pose that nothing has fitted may as well be wrong
-    shows_more = reason == "fitness" and result.fitness > NEAR_ALL and not tracked.pose_stands
-    if shows_more and len(state.refused) == REFUSED_FRAMES:
-        again = fit(observation, model, result.T_camera_model, settings, noise, state.refused)
-        reason = gate(again, state.T_accepted, centroid, seconds, settings)
-        if reason is None:
-            result = again
-    if shows_more and reason is not None:
-        T_model_camera = invert(result.T_camera_model)
-        seen = Model(
-            transform(T_model_camera, observation.points),
-            observation.normals @ T_model_camera[:3, :3].T,
-        )
-        state.refused = [*state.refused, seen][-REFUSED_FRAMES:]
-    else:
+    more = result.reject_reason == "fitness" and result.fitness > NEAR_ALL
+    if not more or tracked.pose_stands:
         state.refused = []
+        return result
+    if len(state.refused) == REFUSED_FRAMES:
+        again = fit(observation, model, result.T_camera_model, settings, noise, state.refused)
+        again = _gated(state, frame.t_ns, again, model, settings)
+        if again.accepted:
+            state.refused = []
+            return again
+    T_model_camera = invert(result.T_camera_model)
+    seen = Model(
+        transform(T_model_camera, observation.points),
+        observation.normals @ T_model_camera[:3, :3].T,
+    )
+    state.refused = [*state.refused, seen][-REFUSED_FRAMES:]
+    return result
+
+
+def _gated(
+    state: Perception, t_ns: int, result: Registration, model: Model, config: RegistrationConfig
+) -> Registration:
+    """The registration with the gate's decision."""
+    assert state.T_accepted is not None
+    seconds = (t_ns - state.accepted_ns) * 1e-9
+    centroid = model.points.mean(axis=0)
+    reason = gate(result, state.T_accepted, centroid, seconds, config)
     return replace(result, reject_reason=reason)
 
 
@@ -266,7 +276,8 @@ def _fuse(
         if state.feature is None:
             distances = np.linalg.norm(model.points - centre, axis=1)
             state.feature = model.points[int(np.argmin(distances))]
-        if frame.t_ns - state.accepted_ns <= config.estimation.null_after_s * 1e9:
+        age_ns = frame.t_ns - state.accepted_ns
+        if tracked.pose_stands or age_ns <= config.estimation.null_after_s * 1e9:
             centroid = transform(state.T_camera_model, centre[None])[0]
     return Fused(
         state.accepted, reason, n_filtered, residual, model, state.T_camera_model, centroid

@@ -124,11 +124,13 @@ def test_a_recorded_pose_is_not_moved(made: Made, off_m: float) -> None:
         near = (u - 20, v - 20, u + 20, v + 20)
         return (MarkedThing(near, "/pose", T_camera_object=T, is_point=True),)
 
-    steps = run(marked(made, at), made[1][0], "tracking.method=recorded")
+    settings = ("tracking.method=recorded", "estimation.null_after_s=0.2")
+    steps = run(marked(made, at), made[1][0], *settings)
     errors = drift(steps)
     n_before = 5
     assert errors[:n_before].max() < 1e-9
     assert np.abs(errors[n_before:] - off_m).max() < 1e-9
+    assert len(errors) == N - len(UNSEEN), "its pose is told for as long as the log has it"
     accepted = [s.accepted for k, s in enumerate(steps) if k not in UNSEEN]
     assert all(accepted[:n_before])
     # the gate still says that depth does not show the object there
