@@ -163,9 +163,8 @@ class Perception:
         lap("fusion")
         estimate = _estimate(self, frame, T_base_camera)
         lap("estimation")
-        self.learn_turn(
-            frame.t_ns, T_base_camera, self.accepted or tracked.T_camera_model is not None
-        )
+        followed = 0 if tracked.features is None else len(tracked.features.points)
+        self.learn_turn(frame.t_ns, T_base_camera, followed >= config.tracking.min_corners)
         self.T_base_camera = T_base_camera
         return Perceived(tracked, observation, registration, fused, estimate)
 

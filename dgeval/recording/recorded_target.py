@@ -5,9 +5,11 @@ Each becomes boxes in the colour picture of a time. Which of several is the targ
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,11 +24,16 @@ from dgeval.recording.images import decode_image
 from dgeval.recording.messages import stamp_ns
 from dgeval.recording.pairing import Pair
 from dgeval.recording.robot import RobotStates
+from dgeval.recording.roles import SAME_SHAPE
 from dgeval.recording.scan import NOT_USABLE, Scan
 
 RECORDED = "recorded"  # the `tracking.method` that takes what the log marks
-SAME_IMAGE_NS = 20_000_000  # ns; a mark so near to an image's stamp is of that image; ours
+# a mark so near to an image's stamp is of that image: ns, and share of the time between images
+SAME_IMAGE_NS, SAME_IMAGE_SHARE = 20_000_000, 0.4
+AHEAD_NS = 100_000_000  # ns; no mark is logged by so much before the picture that it is of; ours
+SOFT = 0.5  # share of a mask's pixels with nearly its largest value; then it has soft edges; ours
 LEAST_PX = 10.0  # px; a smaller box holds nothing that can be followed; ours
+UNDECODABLE = "can't be decoded"
 MOST_MARKS = 200  # messages with a mark that are looked at; ours
 MOST_LABELS = 20  # values of a mask; more is no mask; ours
 MOST_OF_PICTURE = 0.5  # share that a target covers at most in a mask; ours
@@ -34,7 +41,6 @@ MOST_OF_PICTURE = 0.5  # share that a target covers at most in a mask; ours
 # boxes that may reach beyond it; ours
 IN_SHARES, BEYOND, MOST_BEYOND = 1.01, 1.05, 0.1
 ABOUT_M = 0.04  # m around an object's pose; no object is asked for its size; ours
-SAME_SHAPE = 0.01  # share; a mask whose sides have the picture's ratio within this shows all of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,29 +69,41 @@ def marks_of(
     camera: Camera,
     robot: RobotStates,
     most: int | None = MOST_MARKS,
+    unused: Counter[str] | None = None,
 ) -> list[Mark]:
     """The marks of topics in a trial's pictures, in time order; one for all in one picture.
 
-    most: of each topic that are looked at; None for all.
+    most: of each topic that are looked at; None for all. unused: counts, by the reason in words,
+    what is not used.
     """
+    unused = Counter() if unused is None else unused
     stamps = np.array([p.t_ns for p in pairs], dtype=np.int64)
+    near_ns = near_enough(pairs)
     out: dict[int, Mark] = {}
     for topic in topics:
         if of_another_size(scan, topic, camera):
             continue
-        seen: set[int] = set()
-        for mark in _marks_of_topic(scan, topic, camera, robot):
+        seen: dict[int, int] = {}  # by the picture's time the mark's own
+        for mark in _marks_of_topic(scan, topic, camera, robot, unused):
             at = int(stamps[np.argmin(np.abs(stamps - mark.t_ns))])
             things = tuple(
                 replace(thing, box=box)
                 for thing in mark.things
                 if (box := _inside(thing.box, camera)) is not None
             )
-            if abs(at - mark.t_ns) > SAME_IMAGE_NS or not things or at in seen:
+            if abs(at - mark.t_ns) > near_ns:
+                unused[f"{topic}: farther than {near_ns * 1e-6:.0f} ms from a picture's stamp"] += 1
                 continue
-            seen.add(at)
+            if not things:
+                unused[f"{topic}: outside the picture, or smaller than {LEAST_PX:.0f} px"] += 1
+                continue
+            if seen.setdefault(at, mark.t_ns) != mark.t_ns:
+                unused[f"{topic}: of a picture that another message marks"] += 1
+                continue
             before = out.get(at)
-            names = topic if before is None else f"{before.topic}, {topic}"
+            names = topic if before is None else before.topic
+            if topic not in names.split(", "):
+                names = f"{names}, {topic}"
             others = () if before is None else before.things
             out[at] = Mark(names, at, (*others, *things))
             if most is not None and len(seen) >= most:
@@ -96,6 +114,11 @@ def marks_of(
 def of_another_size(scan: Scan, topic: str, camera: Camera) -> str:
     """What is wrong with a topic that marks pictures of another size; "" where nothing is."""
     k = camera.intrinsics
+    if (ahead := _ahead(scan, topic)) > AHEAD_NS:
+        return (
+            f"the stamps of {topic} are {ahead * 1e-9:.1f} s ahead of when the recorder had it: "
+            "which pictures it marks is not known, and it is not used"
+        )
     mask = scan.images.get(topic)
     if mask is not None and not _shows_all(mask.width, mask.height, camera):
         return (
@@ -118,6 +141,30 @@ def of_another_size(scan: Scan, topic: str, camera: Camera) -> str:
     )
 
 
+def near_enough(pairs: tuple[Pair, ...]) -> int:
+    """How near, ns, a mark must be to a picture's stamp: less than half of the time between two."""
+    steps = np.diff(np.array([p.t_ns for p in pairs], dtype=np.int64))
+    if not len(steps):
+        return SAME_IMAGE_NS
+    return min(SAME_IMAGE_NS, int(SAME_IMAGE_SHARE * float(np.median(steps))))
+
+
+def _ahead(scan: Scan, topic: str) -> float:
+    """By how much, ns, a topic's stamps are ahead of the recorder's time, against the pictures'."""
+
+    def early(name: str) -> float | None:
+        times = scan.times.get(name)
+        if times is None or not times.log_ns or len(times.header_ns) != len(times.log_ns):
+            return None
+        stamps, log = times.arrays()
+        return float(np.median(stamps - log))
+
+    own = early(topic)
+    others = [e for name in scan.cameras if (e := early(name)) is not None]
+    others += [e for name in scan.images if name != topic and (e := early(name)) is not None]
+    return 0.0 if own is None or not others else own - float(np.median(others))
+
+
 def _shows_all(width: int, height: int, camera: Camera) -> bool:
     """Whether a mask of this size, px, has the picture's shape."""
     k = camera.intrinsics
@@ -125,17 +172,18 @@ def _shows_all(width: int, height: int, camera: Camera) -> bool:
 
 
 def _marks_of_topic(
-    scan: Scan, topic: str, camera: Camera, robot: RobotStates
+    scan: Scan, topic: str, camera: Camera, robot: RobotStates, unused: Counter[str]
 ) -> Iterator[Mark] | list[Mark]:
     if topic in scan.images:
-        return _of_masks(scan.opened, topic, camera)
+        return _of_masks(scan.opened, topic, camera, unused)
     if topic in scan.detections:
-        return _of_detections(scan.detections[topic], topic, camera, robot)
-    return _of_poses(scan, topic, camera, robot)
+        return _of_detections(scan.detections[topic], topic, camera, robot, unused)
+    return _of_poses(scan, topic, camera, robot, unused)
 
 
-def _of_masks(opened: Opened, topic: str, camera: Camera) -> Iterator[Mark]:
-    """One thing for each value of a mask that is not 0 and covers less than half of the picture.
+def _of_masks(opened: Opened, topic: str, camera: Camera, unused: Counter[str]) -> Iterator[Mark]:
+    """One thing for each value, or colour, of a mask that is not 0 and covers less than half of the
+    picture; one for all where JPEG or soft edges blur the values.
 
     A mask of another size with the picture's shape is scaled.
     """
@@ -146,10 +194,15 @@ def _of_masks(opened: Opened, topic: str, camera: Camera) -> Iterator[Mark]:
             mask = decode_image(decoded).array
             t_ns = stamp_ns(decoded)
         except NOT_USABLE:
-            continue  # told by the scan
-        mask = mask if mask.ndim == 2 else mask[:, :, 0]
+            unused[f"{topic}: {UNDECODABLE}"] += 1
+            continue
+        mask = _labels(mask, "jp" in str(getattr(decoded, "format", "")).lower())
         values = np.unique(mask[mask > 0])
-        if not 0 < len(values) <= MOST_LABELS:
+        if not len(values):
+            unused[f"{topic}: empty"] += 1
+            continue
+        if len(values) > MOST_LABELS:
+            unused[f"{topic}: more than {MOST_LABELS} values"] += 1
             continue
         things = []
         for value in values:
@@ -162,6 +215,22 @@ def _of_masks(opened: Opened, topic: str, camera: Camera) -> Iterator[Mark]:
                 things.append(_masked(at > 0, f"{topic}#{value}"))
         if things:
             yield Mark(topic, t_ns, tuple(things))
+        else:
+            unused[f"{topic}: more than {MOST_OF_PICTURE:.0%} of the picture"] += 1
+
+
+def _labels(mask: NDArray[Any], is_lossy: bool) -> NDArray[Any]:
+    """(h, w) numbers of a mask's things, 0 where there is none."""
+    if mask.ndim == 3:
+        if (mask == mask[:, :, :1]).all():
+            mask = mask[:, :, 0]
+        else:
+            channels = mask.astype(np.int64)
+            mask = (channels[:, :, 0] << 32) | (channels[:, :, 1] << 16) | channels[:, :, 2]
+    most = int(mask.max())
+    marked = mask[mask > 0]
+    soft = len(np.unique(marked)) > MOST_LABELS and float((marked > 0.9 * most).mean()) > SOFT
+    return np.where(mask > most / 2, most, 0) if is_lossy or soft else mask
 
 
 def _masked(at: NDArray[np.bool_], name: str) -> MarkedThing:
@@ -172,7 +241,11 @@ def _masked(at: NDArray[np.bool_], name: str) -> MarkedThing:
 
 
 def _of_detections(
-    detections: list[Detection], topic: str, camera: Camera, robot: RobotStates
+    detections: list[Detection],
+    topic: str,
+    camera: Camera,
+    robot: RobotStates,
+    unused: Counter[str],
 ) -> list[Mark]:
     """By the time of their image; those in a picture of another camera are left out."""
     by_time: dict[int, list[MarkedThing]] = {}
@@ -180,11 +253,13 @@ def _of_detections(
         box, T_camera_object = d.box, None
         if box is not None:
             if d.frame not in ("", robot.camera_frame):
+                unused[f"{topic}: of {d.frame}, while the camera is {robot.camera_frame}"] += 1
                 continue
             box = box if camera.lens is None else camera.lens.box(box)
         elif d.T_frame_box is not None:
             T = _T_camera_frame(d.frame, d.t_ns, robot)
             if T is None:
+                unused[f"{topic}: in a frame that the tree doesn't have, {d.frame}"] += 1
                 continue
             T_camera_object = T @ d.T_frame_box
             box = _seen(transform(T, _corners(d)), camera)
@@ -195,12 +270,15 @@ def _of_detections(
     return [Mark(topic, t, tuple(by_time[t])) for t in sorted(by_time)]
 
 
-def _of_poses(scan: Scan, topic: str, camera: Camera, robot: RobotStates) -> list[Mark]:
+def _of_poses(
+    scan: Scan, topic: str, camera: Camera, robot: RobotStates, unused: Counter[str]
+) -> list[Mark]:
     out = []
     around = ABOUT_M * np.array(list(product((-1, 1), repeat=3)), dtype=float)
     for pose in scan.poses.get(topic, []):
         T = _T_camera_frame(pose.parent, pose.t_ns, robot)
         if T is None:
+            unused[f"{topic}: in a frame that the tree doesn't have, {pose.parent}"] += 1
             continue
         T_camera_object = T @ matrix_from_pose(pose.pose)
         box = _seen(around + T_camera_object[:3, 3], camera)

@@ -27,6 +27,7 @@ SAME_MATRIX = 0.02  # share; two cameras whose matrices differ by less are one; 
 SAME_JOINT = 0.02  # rad or m; two topics that differ by less give one joint's position; ours
 # words in the name of a mask that is not of an object
 NO_TARGET_MASK = ("valid", "self", "robot", "arm_mask", "confidence", "filter")
+SAME_SHAPE = 0.01  # share; a mask whose sides have the picture's ratio within this shows all of it
 MASK_ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1")
 # parts of a topic's name that rule it out as the camera or a state of the robot
 NOT_A_CAMERA = (DGEVAL_PREFIX, TRUTH_PREFIX, "mask", "debug", "annotated", "detection")
@@ -138,7 +139,9 @@ def _target_topics(scan: Scan, colour: str | None) -> tuple[str, ...]:
 
     def is_mask(name: str) -> bool:
         mask = scan.images[name]
-        size = (mask.width, mask.height) == (head.width, head.height)
+        size = abs(mask.width * head.height - mask.height * head.width) <= SAME_SHAPE * (
+            mask.width * head.height
+        )
         named = _has(name, "mask", "segmentation") and not _has(name, *NO_TARGET_MASK)
         return size and mask.encoding in MASK_ENCODINGS and named
 

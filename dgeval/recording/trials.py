@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -29,7 +30,7 @@ from dgeval.recording.frame import Frame, MarkedThing
 from dgeval.recording.frame_reader import FrameReader, LostFrames, recorded_grasps
 from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.pairing import Pair, Window, pair_images, stamp_notes, window_of
-from dgeval.recording.recorded_target import RECORDED, SAME_IMAGE_NS, marks_of, of_another_size
+from dgeval.recording.recorded_target import RECORDED, UNDECODABLE, marks_of, of_another_size
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles, image_topics
 from dgeval.recording.scan import Scan, scan
@@ -178,12 +179,8 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     codec = scanned.images[colour].codec
     things: dict[int, tuple[MarkedThing, ...]] = {}
     if config.tracking.method == RECORDED:
-        things = _marked(scanned, roles.target, window.pairs, camera, robot, place)
-        if len(things) < len(window.pairs):
-            notes.append(
-                f"{', '.join(roles.target)} marks something in {len(things)} of "
-                f"{len(window.pairs)} frames; in the others the target counts as lost"
-            )
+        things, told = _marked(scanned, roles.target, window.pairs, camera, robot, place)
+        notes += told
     reader = FrameReader(
         opened, colour, depth, window.pairs, camera, robot, grasps, lost, codec, things
     )
@@ -225,19 +222,35 @@ def _marked(
     camera: Camera,
     robot: RobotStates,
     place: Place,
-) -> dict[int, tuple[MarkedThing, ...]]:
-    """What the log marks, by the time of its picture, ns. UnreadableError where that is nothing."""
-    marks = marks_of(scanned, topics, pairs, camera, robot, most=None)
-    if marks:
-        return {mark.t_ns: mark.things for mark in marks}
+) -> tuple[dict[int, tuple[MarkedThing, ...]], list[str]]:
+    """What the log marks, by the time of its picture, ns, and notes. What can't be decoded is
+    damage of the recording. UnreadableError where nothing is marked.
+    """
+    unused: Counter[str] = Counter()
+    marks = marks_of(scanned, topics, pairs, camera, robot, None, unused)
+    broken = {what: n for what, n in unused.items() if what.endswith(UNDECODABLE)}
+    for what, n in broken.items():
+        scanned.opened.damage.append(
+            Damage(f"{what}, in {n} messages with the target's mask", place)
+        )
     others = [what for topic in topics if (what := of_another_size(scanned, topic, camera))]
-    near = f"within {SAME_IMAGE_NS // 1_000_000} ms of a picture's stamp"
-    why = "; ".join(others) or (
-        f"{', '.join(topics)} marks nothing {near}"
-        if topics
-        else "no topic holds masks, detections or an object's poses"
-    )
-    hint = "name the topic with --set roles.target=…, or leave --set tracking.method=… out"
+    others += [f"{what} ({n})" for what, n in sorted(unused.items())]
+    if marks:
+        notes = [f"not used of what marks the target: {'; '.join(others)}"] if others else []
+        if len(marks) < len(pairs):
+            notes.append(
+                f"{', '.join(topics)} marks something in {len(marks)} of {len(pairs)} frames; in "
+                "the others the target counts as lost"
+            )
+        return {mark.t_ns: mark.things for mark in marks}, notes
+    if not topics:
+        why = "no topic holds masks of the picture's shape, detections or an object's poses"
+        hint = "name the topic with --set roles.target=…"
+    else:
+        why = f"{', '.join(topics)} marks nothing that can be used"
+        why += f": {'; '.join(others)}" if others else ""
+        hint = "mend it in the log, or name another topic with --set roles.target=…"
+    hint += ", or leave --set tracking.method=… out"
     raise UnreadableError(f"tracking.method = {RECORDED!r}: {why}", place, hint)
 
 

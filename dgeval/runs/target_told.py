@@ -11,7 +11,7 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.perception.target import candidates
 from dgeval.recording.check import Check
-from dgeval.recording.recorded_target import of_another_size
+from dgeval.recording.recorded_target import RECORDED, of_another_size
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step, replay
 from dgeval.replay.notes import FrameCounts
@@ -86,7 +86,9 @@ def first_seen(step: Step, trial: Trial, target: FoundTarget | None, config: Con
     return FirstSeen((x1 - x0) * (y1 - y0), n_things)
 
 
-def target_checks(counts: FrameCounts, has_box: bool, seen: FirstSeen | None) -> list[Check]:
+def target_checks(
+    counts: FrameCounts, has_box: bool, seen: FirstSeen | None, method: str = ""
+) -> list[Check]:
     """Whether the right thing was followed, as far as a replay tells: it was chosen for a reason,
     large enough, followed in more than its first frames, and measured in at least one.
     """
@@ -104,6 +106,10 @@ def target_checks(counts: FrameCounts, has_box: bool, seen: FirstSeen | None) ->
         mend = (
             "it has a box alone: is it nearer than the camera's least range, or the box beside it?"
         )
+    if method == RECORDED and counts.lost >= counts.frames - 1:
+        what = f"of what the log marks the target is followed in none of {counts.frames} frames"
+        mend = "is the box on what it marks (--bbox), and roles.target the target's topic?"
+        return [*failed, Check("target", what, mend)]
     if counts.predicted >= counts.frames - 1:
         unseen = counts.lost + counts.no_depth >= counts.frames - 1
         how = "was seen with usable depth" if unseen else "could be registered"
@@ -133,4 +139,5 @@ def foretold_target(trial: Trial, config: Config) -> tuple[list[Check], list[str
         followed, measured = counts.frames - counts.lost, counts.frames - counts.predicted
         if seen is not None and measured > 1 and n - followed < LOST_AT_ONCE * n:
             break
-    return target_checks(counts, trial.spec.bbox is not None, seen), target_note(trial, target)
+    checks = target_checks(counts, trial.spec.bbox is not None, seen, config.tracking.method)
+    return checks, target_note(trial, target)

@@ -279,7 +279,7 @@ def trial_row(
         messages.append(
             f"{unmatched} of {n_colour} colour images have no depth image near enough in time"
         )
-    of_target = target_checks(counts, spec.bbox is not None, seen)
+    of_target = target_checks(counts, spec.bbox is not None, seen, config.tracking.method)
     for check in (*trial.checks, *of_target):
         if check.name not in config.checks.accept:
             exit_code = EXIT_DATA_LOST

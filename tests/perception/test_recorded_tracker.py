@@ -144,3 +144,22 @@ def test_without_a_mark_nothing_is_followed(made: Made) -> None:
     steps = run(frames, boxes[0], "tracking.method=recorded")
     assert {s.tracked.state for s in steps} == {"lost"}
     assert all(s.model is None for s in steps)
+
+
+def test_a_number_of_the_entries_is_no_name(made: Made) -> None:
+    """Fails where a detector's ids are the entries' numbers, and another thing is followed once
+    their order changes; and where one name stands for several things.
+    """
+
+    def numbered(k: int, frame: Frame, box: tuple[float, ...]) -> tuple[MarkedThing, ...]:
+        order = (OTHER, box) if k < 6 else (box, OTHER)
+        return tuple(MarkedThing(b, f"id#{n}") for n, b in enumerate(order))  # type: ignore[arg-type]
+
+    def alike(k: int, frame: Frame, box: tuple[float, ...]) -> tuple[MarkedThing, ...]:
+        return MarkedThing(OTHER, "ball"), MarkedThing(box, "ball")  # type: ignore[arg-type]
+
+    for things in (numbered, alike):
+        steps = run(marked(made, things), made[1][0], "tracking.method=recorded")
+        assert [s.tracked.box for k, s in enumerate(steps) if k not in UNSEEN] == [
+            box for k, box in enumerate(made[1]) if k not in UNSEEN
+        ]

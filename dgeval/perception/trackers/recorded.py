@@ -23,6 +23,7 @@ from dgeval.perception.types import Model, Tracked
 from dgeval.recording.frame import Frame, MarkedThing
 from dgeval.recording.recorded_target import RECORDED
 
+SAME_PLACE = 0.5  # overlap with the last box, from which on a thing is in its place; ours
 MOVED = 0.5  # overlap with the box, below which the model is put there before it is aligned; ours
 
 
@@ -67,14 +68,23 @@ class RecordedTracker:
         return replace(tracked, reacquired=reacquired)
 
     def _chosen(self, things: tuple[MarkedThing, ...]) -> MarkedThing | None:
-        """The thing of the target's name; without one the thing where the target was last."""
-        if self._name:
-            return next((thing for thing in things if thing.name == self._name), None)
+        """The thing of the target's name, of several the one where the target was last.
+
+        Without a name the thing at that place. A name that is suddenly elsewhere, while another
+        thing is in the target's place, is none.
+        """
         assert self._box is not None
         shares = [_shared(thing, self._box) for thing in things]
-        if not shares or max(shares) <= 0:
+        named = [k for k, thing in enumerate(things) if self._name and thing.name == self._name]
+        best = int(np.argmax(shares)) if shares else 0
+        if named:
+            own = max(named, key=lambda k: shares[k])
+            # a number of the message's entries is no name: what was in this place is there still
+            is_elsewhere = not self._was_lost and shares[own] <= 0 and shares[best] > SAME_PLACE
+            return things[best if is_elsewhere else own]
+        if self._name or not shares or shares[best] <= 0:
             return None
-        return things[int(np.argmax(shares))]
+        return things[best]
 
     def _tracked(self, given: TrackingInput, thing: MarkedThing) -> Tracked:
         frame = given.frame
