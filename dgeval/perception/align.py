@@ -25,6 +25,8 @@ SIGMA_PIXEL = 0.5  # px, standard deviation of a feature's position
 # of them, so n pixels give less information than n independent ones. Measured on synthetic
 # recordings with correlated noise; see benchmarks/registration.py.
 DEPTH_WEIGHT = 0.1
+# m: a point that is farther than what is seen by less agrees with it, by more is hidden by it; ours
+AGREE_M, HIDDEN_M = 0.012, 0.025
 
 
 def tukey(residual: Array, scale: float) -> Array:
@@ -129,8 +131,11 @@ def align_to_image(
         z = depth[uv[:, 1], uv[:, 0]].astype(np.float64)
         observed = camera.backproject(uv[:, 0] + float(window[0]), uv[:, 1] + float(window[1]), z)
         H, g, used = depth_normal_equations(p, observed, n, depth_sigma(z), cutoff)
-        n_depth = len(p)
-        agree = float(np.mean(np.abs(p[:, 2] - z) < 0.012)) if n_depth else 0.0
+        # what something nearer hides, as a mug's front does its back, tells nothing of the pose
+        behind = p[:, 2] - z
+        behind = behind[behind < HIDDEN_M]
+        n_depth = len(behind)
+        agree = float(np.mean(np.abs(behind) < AGREE_M)) if n_depth else 0.0
         if len(features.points):
             in_camera = transform(T, features.points)
             Hf, gf, n_features = feature_normal_equations(
