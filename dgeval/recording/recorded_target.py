@@ -81,7 +81,7 @@ def marks_of(
     near_ns = near_enough(pairs)
     out: dict[int, Mark] = {}
     for topic in topics:
-        if of_another_size(scan, topic, camera):
+        if unusable(scan, topic, camera):
             continue
         seen: dict[int, int] = {}  # by the picture's time the mark's own
         for mark in _marks_of_topic(scan, topic, camera, robot, unused):
@@ -111,8 +111,10 @@ def marks_of(
     return [out[t] for t in sorted(out)]
 
 
-def of_another_size(scan: Scan, topic: str, camera: Camera) -> str:
-    """What is wrong with a topic that marks pictures of another size; "" where nothing is."""
+def unusable(scan: Scan, topic: str, camera: Camera) -> str:
+    """Why nothing that a topic marks is used: stamps ahead of the recorder's time, or pictures of
+    another size; "" where that is not so.
+    """
     k = camera.intrinsics
     if (ahead := _ahead(scan, topic)) > AHEAD_NS:
         return (

@@ -30,7 +30,7 @@ from dgeval.recording.frame import Frame, MarkedThing
 from dgeval.recording.frame_reader import FrameReader, LostFrames, recorded_grasps
 from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.pairing import Pair, Window, pair_images, stamp_notes, window_of
-from dgeval.recording.recorded_target import RECORDED, UNDECODABLE, marks_of, of_another_size
+from dgeval.recording.recorded_target import RECORDED, UNDECODABLE, marks_of, unusable
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles, image_topics
 from dgeval.recording.scan import Scan, scan
@@ -233,7 +233,7 @@ def _marked(
         scanned.opened.damage.append(
             Damage(f"{what}, in {n} messages with the target's mask", place)
         )
-    others = [what for topic in topics if (what := of_another_size(scanned, topic, camera))]
+    others = [what for topic in topics if (what := unusable(scanned, topic, camera))]
     others += [f"{what} ({n})" for what, n in sorted(unused.items())]
     if marks:
         notes = [f"not used of what marks the target: {'; '.join(others)}"] if others else []

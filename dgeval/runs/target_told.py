@@ -11,7 +11,7 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.perception.target import candidates
 from dgeval.recording.check import Check
-from dgeval.recording.recorded_target import RECORDED, of_another_size
+from dgeval.recording.recorded_target import RECORDED, unusable
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step, replay
 from dgeval.replay.notes import FrameCounts
@@ -59,7 +59,7 @@ def target_note(trial: Trial, target: FoundTarget | None) -> list[str]:
     other = [
         f"target: {what}"
         for topic in trial.roles.target
-        if (what := of_another_size(trial.scan, topic, trial.reader.camera))
+        if (what := unusable(trial.scan, topic, trial.reader.camera))
     ]
     note = f"target: no box is given; taken is {how} ({picture}); another: --bbox x0,y0,x1,y1"
     return [*other, note]

@@ -176,7 +176,7 @@ def test_detections_that_no_definition_explains_are_a_note(
 @pytest.mark.parametrize(
     ("scale", "said"), [(2.0, "of another size"), (1 / 320, "in shares of the picture")]
 )
-def test_boxes_of_another_size_of_picture_are_told(
+def test_boxes_unusable_of_picture_are_told(
     tmp_path: Path, unmarked: list[Message], scale: float, said: str
 ) -> None:
     """Fails where a detector that ran on a larger picture, or gives shares of it, is dropped

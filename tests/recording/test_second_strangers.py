@@ -243,7 +243,7 @@ def test_poses_of_two_objects_are_two_marks(tmp_path: Path, messages: list[Messa
     assert len(mark.boxes) == 2
 
 
-def test_a_picture_of_another_size_than_its_intrinsics_is_refused(
+def test_a_picture_unusable_than_its_intrinsics_is_refused(
     tmp_path: Path, messages: list[Message]
 ) -> None:
     """Fails where each frame is called damage; the mend has the matrix of the resized picture."""
