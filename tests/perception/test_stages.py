@@ -16,6 +16,7 @@ from dgeval.config import (
     RegistrationConfig,
     SelectionConfig,
     ServoConfig,
+    TrackingConfig,
 )
 from dgeval.determinism import generator
 from dgeval.errors import MissingDependencyError
@@ -28,7 +29,7 @@ from dgeval.perception.observation import observe
 from dgeval.perception.plane import fit_plane
 from dgeval.perception.registration import BACKENDS, gate, register
 from dgeval.perception.self_filter import hand_pixels, signed_distance
-from dgeval.perception.types import Model, Observation, Registration, Tracked
+from dgeval.perception.types import Features, Model, Observation, Registration, Tracked
 from dgeval.planning.execution import execute
 from dgeval.planning.grasps import overlap_allowed
 from dgeval.planning.schedule import Delayed
@@ -527,3 +528,33 @@ def test_pose_helper_is_right_handed() -> None:
     assert np.linalg.det(
         matrix_from_pose(np.array([0, 0, 0, 0.1, 0.2, 0.3, 0.9]))[:3, :3]
     ) == pytest.approx(1)
+
+
+def test_what_is_hidden_by_something_nearer_does_not_speak_against_the_pose() -> None:
+    """Fails where a mug's back wall, which its front hides, makes a right pose a bad one; and where
+    a model that stands in front of what is seen, or behind it, agrees.
+    """
+    rows, columns = np.mgrid[90:150:2, 130:190:2]
+    config = TrackingConfig(iterations=1)
+    none = Features(np.zeros((0, 3)), np.zeros((0, 2)))
+    window = (100, 60, 220, 180)
+    depth = np.full((120, 120), 0.5, np.float32)
+
+    def agree(*z: float) -> tuple[float, int]:
+        walls = [
+            CAMERA.backproject(
+                columns.ravel().astype(float), rows.ravel().astype(float), np.full(rows.size, d)
+            )
+            for d in z
+        ]
+        points = np.concatenate(walls)
+        model = Model(points, np.tile([0.0, 0.0, -1.0], (len(points), 1)))
+        free = np.ones(depth.shape, dtype=bool)
+        _, share, n, _ = align.align_to_image(
+            depth, window, free, model, none, np.eye(4), CAMERA, config
+        )
+        return share, n
+
+    assert agree(0.5, 0.56)[0] == 1.0
+    assert agree(0.46)[0] == 0.0
+    assert agree(0.56) == (0.0, 0), "all of it is hidden: nothing is compared"

@@ -1442,6 +1442,36 @@ MUTANTS = [
         "if False:",
         "tests/recording/test_recorded_tracking.py",
     ),
+    Mutant(
+        "dgeval/perception/align.py",
+        "behind = behind[behind < HIDDEN_M]",
+        "behind = behind[:]",
+        "tests/perception/test_stages.py",
+    ),
+    Mutant(
+        "dgeval/perception/trackers/recorded.py",
+        "is_elsewhere = not self._was_lost and",
+        "is_elsewhere = False and",
+        "tests/perception/test_recorded_tracker.py",
+    ),
+    Mutant(
+        "dgeval/recording/recorded_target.py",
+        "if is_lossy or soft else mask",
+        "if is_lossy else mask",
+        "tests/recording/test_recorded_tracking.py",
+    ),
+    Mutant(
+        "dgeval/recording/recorded_target.py",
+        "return min(SAME_IMAGE_NS, int(",
+        "return max(SAME_IMAGE_NS, int(",
+        "tests/recording/test_recorded_tracking.py",
+    ),
+    Mutant(
+        "dgeval/recording/recorded_target.py",
+        "if seen.setdefault(at, mark.t_ns) != mark.t_ns:",
+        "if seen.setdefault(at, 0) != mark.t_ns:",
+        "tests/recording/test_recorded_tracking.py",
+    ),
 ]
 
 
