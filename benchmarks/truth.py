@@ -33,9 +33,10 @@ def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
     """Errors of one trial, a row per frame with a pose.
 
     t_s: since the first truth. accepted: the registration. position_m, angle_deg, velocity_m_s:
-    errors of the causal pass. hindsight_m, by: position error and source of the second pass, null
-    where it has no pose. t_close_s: of the close. t_sight_s: when the simulated camera first lost
-    the object for 0.25 s (no belief mask), at the latest the close.
+    errors of the causal pass. true_m_s: true speed of the object's origin. hindsight_m, by:
+    position error and source of the second pass, null where it has no pose. t_close_s: of the
+    close. t_sight_s: when the simulated camera first lost the object for 0.25 s (no belief mask),
+    at the latest the close.
 
     The model frame is arbitrary: T_model_object is taken from the first frame with a pose.
     """
@@ -90,11 +91,13 @@ def errors_against_truth(spec: TrialSpec, run: Path) -> pd.DataFrame:
                 "position_m": float(np.linalg.norm(T[:3, 3] - T_true[:3, 3])),
                 "angle_deg": float(np.degrees(rotation_angle(T[:3, :3].T @ T_true[:3, :3]))),
                 "velocity_m_s": float(np.linalg.norm(v - v_true)),
+                "true_m_s": float(np.linalg.norm(v_true)),
                 "hindsight_m": hindsight_m,
                 "by": by,
             }
         )
-    columns = ["t_s", "accepted", "position_m", "angle_deg", "velocity_m_s", "hindsight_m", "by"]
+    columns = ["t_s", "accepted", "position_m", "angle_deg", "velocity_m_s", "true_m_s"]
+    columns += ["hindsight_m", "by"]
     out = pd.DataFrame(rows, columns=columns)
     return out.assign(t_sight_s=sight_s, t_close_s=close_s)
 

@@ -44,10 +44,13 @@ def test_smoke_is_replayed_near_the_truth(smoke_run: Path) -> None:
             continue
         followed += 1
         assert visible["position_m"].median() < 0.010, spec.id
-        assert visible["velocity_m_s"].median() < 0.020, spec.id
-    # Of the other two, one is out of view within half a second; the mug's thin walls fail the gate
-    # at this resolution.
-    assert followed >= 4
+        # a mug that the hand pushes turns as well: then its origin, whose true velocity is known,
+        # and the feature point, whose velocity is estimated, do not move alike
+        even = visible[(visible["true_m_s"] - visible["true_m_s"].iloc[0]).abs() < 0.01]
+        assert len(even) >= 10, spec.id
+        assert even["velocity_m_s"].median() < 0.020, spec.id
+    # the other one is out of view within half a second
+    assert followed >= 5
 
 
 @pytest.mark.slow
