@@ -25,6 +25,7 @@ from dgeval import api
 from dgeval.config import load_config
 from dgeval.determinism import limit_threads
 from dgeval.geometry import Array, Box
+from dgeval.perception.boxes import overlap
 from dgeval.perception.pipeline import Perception
 from dgeval.recording.frame import Frame
 from dgeval.recording.manifest import TrialSpec
@@ -78,13 +79,6 @@ def recordings() -> list[Path]:
     """The folders below DGEVAL_REAL_DATA with a recording and its truth."""
     root = Path(os.environ.get("DGEVAL_REAL_DATA", ""))
     return sorted(path.parent for path in root.glob("*/truth.json"))
-
-
-def overlap(a: Box, b: Box) -> float:
-    """Intersection over union of two boxes."""
-    w, h = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
-    both = max(0.0, w) * max(0.0, h)
-    return both / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - both + 1e-9)
 
 
 def overlaps(truth: list[dict[str, Any]], boxes: dict[int, Box | None]) -> tuple[list[float], int]:

@@ -24,7 +24,7 @@ from dgeval.recording.images import decode_image
 from dgeval.recording.messages import stamp_ns
 from dgeval.recording.pairing import Pair
 from dgeval.recording.robot import RobotStates
-from dgeval.recording.roles import SAME_SHAPE
+from dgeval.recording.roles import same_shape
 from dgeval.recording.scan import NOT_USABLE, Scan
 
 RECORDED = "recorded"  # the `tracking.method` that takes what the log marks
@@ -122,7 +122,7 @@ def unusable(scan: Scan, topic: str, camera: Camera) -> str:
             "which pictures it marks is not known, and it is not used"
         )
     mask = scan.images.get(topic)
-    if mask is not None and not _shows_all(mask.width, mask.height, camera):
+    if mask is not None and not same_shape((mask.width, mask.height), (k.width, k.height)):
         return (
             f"the masks of {topic} are {mask.width}x{mask.height} for pictures of "
             f"{k.width}x{k.height}: of another shape, and not used"
@@ -165,12 +165,6 @@ def _ahead(scan: Scan, topic: str) -> float:
     others = [e for name in scan.cameras if (e := early(name)) is not None]
     others += [e for name in scan.images if name != topic and (e := early(name)) is not None]
     return 0.0 if own is None or not others else own - float(np.median(others))
-
-
-def _shows_all(width: int, height: int, camera: Camera) -> bool:
-    """Whether a mask of this size, px, has the picture's shape."""
-    k = camera.intrinsics
-    return abs(width * k.height - height * k.width) <= SAME_SHAPE * width * k.height
 
 
 def _marks_of_topic(

@@ -139,9 +139,7 @@ def _target_topics(scan: Scan, colour: str | None) -> tuple[str, ...]:
 
     def is_mask(name: str) -> bool:
         mask = scan.images[name]
-        size = abs(mask.width * head.height - mask.height * head.width) <= SAME_SHAPE * (
-            mask.width * head.height
-        )
+        size = same_shape((mask.width, mask.height), (head.width, head.height))
         named = _has(name, "mask", "segmentation") and not _has(name, *NO_TARGET_MASK)
         return size and mask.encoding in MASK_ENCODINGS and named
 
@@ -153,6 +151,11 @@ def _target_topics(scan: Scan, colour: str | None) -> tuple[str, ...]:
     poses = [n for n in theirs(scan.poses) if _has(n, "object")]
     kinds = (own, masks, theirs(scan.detections), poses)
     return next((tuple(names) for names in kinds if names), ())
+
+
+def same_shape(a: tuple[int, int], b: tuple[int, int]) -> bool:
+    """Whether two pictures, width and height px, have the same ratio of their sides."""
+    return abs(a[0] * b[1] - a[1] * b[0]) <= SAME_SHAPE * a[0] * b[1]
 
 
 def aligned(scan: Scan, colour: str, depth: str) -> bool:
