@@ -25,6 +25,9 @@ from dgeval.perception.types import Features, Model, Observation, Registration
 SPACED = 300  # points of a model whose spacing is measured
 # times its median, within which nearly all points of a random surface have a neighbour
 APART = 2.5
+# px, within which a feature is where the pose has it; number of them that can speak against the
+# result of ICP, and share of those at the start that must be there still; ours
+FEATURE_PX, LEAST_FEATURES, AS_MANY = 3.0, 12, 0.5
 # (source (n, 3) m, target, T_model_camera to start from, configuration) -> T_model_camera
 Backend = Callable[[Array, Model, Array, RegistrationConfig], Array]
 
@@ -151,9 +154,22 @@ def register(
     if not np.isfinite(T).all():
         return Registration(T_camera_model, 0.0, 0.0, None, "not_finite")
     T = invert(np.asarray(T, dtype=np.float64))
+    if config.colour and features is not None:
+        # a face that the model lacks pulls ICP round until it lies on the one beside it
+        seen = _seen_features(T_camera_model, features, camera)
+        if seen >= LEAST_FEATURES and _seen_features(T, features, camera) < AS_MANY * seen:
+            T = T_camera_model
     tree = KdTree(model.points, num_threads=1)
     T = _refine(T, observation, model, tree, features if config.colour else None, camera, config)
     return _fit(T, observation, model, tree, config, noise, ())
+
+
+def _seen_features(T_camera_model: Array, features: Features, camera: Intrinsics) -> int:
+    """How many of the features appear where the model at this pose has them."""
+    points = transform(T_camera_model, features.points)
+    ahead = points[:, 2] > 0.05
+    apart = np.linalg.norm(camera.project(points[ahead]) - features.pixels[ahead], axis=1)
+    return int(np.count_nonzero(apart < FEATURE_PX))
 
 
 def fit(

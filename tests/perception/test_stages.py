@@ -20,7 +20,15 @@ from dgeval.config import (
 )
 from dgeval.determinism import generator
 from dgeval.errors import MissingDependencyError
-from dgeval.geometry import Intrinsics, depth_sigma, increment, invert, matrix_from_pose, transform
+from dgeval.geometry import (
+    Intrinsics,
+    depth_sigma,
+    increment,
+    invert,
+    matrix_from_pose,
+    rotation_angle,
+    transform,
+)
 from dgeval.perception import align
 from dgeval.perception.depth_noise import DepthNoise
 from dgeval.perception.estimation import VelocityFilter
@@ -289,6 +297,28 @@ def test_a_large_model_takes_a_second_look() -> None:
     distance = np.sqrt(KdTree(first.points).batch_nearest_neighbor_search(second.points)[1])
     assert (distance < 0.005).mean() < 0.8
     assert result.gate_fitness > 0.98
+
+
+def test_a_face_that_comes_into_view_at_once_does_not_turn_the_model() -> None:
+    """Fails where ICP lays a face that the model lacks onto the one it has, though the features
+    stay where they were.
+    """
+    rng = np.random.default_rng(5)
+    points, normals = box_cloud(rng, 3000, 0.001)
+    centre = at(z=0.6)
+    turned = centre @ at(0, 0, 0, (0, 0.6, 0)) @ invert(centre)
+    points, normals = transform(turned, points), normals @ turned[:3, :3].T
+    front, side = np.split(np.arange(3000), 3)[2], np.split(np.arange(3000), 3)[0]
+    both = np.concatenate([front[:150], side])
+    seen = Observation(points[both], normals[both])
+    model = Model(points[front], normals[front])
+    marks = points[front][:40]
+    off = []
+    for features in (None, Features(marks, CAMERA.project(marks))):
+        T = register(seen, model, np.eye(4), features, CAMERA, RegistrationConfig()).T_camera_model
+        off.append(float(np.degrees(rotation_angle(T[:3, :3]))))
+    assert off[0] > 8.0, "without features nothing tells"
+    assert off[1] < 1.0
 
 
 def test_what_lies_beside_the_model_does_not_match_along_its_normal() -> None:

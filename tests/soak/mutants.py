@@ -1472,6 +1472,12 @@ MUTANTS = [
         "if seen.setdefault(at, 0) != mark.t_ns:",
         "tests/recording/test_recorded_tracking.py",
     ),
+    Mutant(
+        "dgeval/perception/registration.py",
+        "< AS_MANY * seen:",
+        "< 0 * seen:",
+        "tests/perception/test_stages.py",
+    ),
 ]
 
 
