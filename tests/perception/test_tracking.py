@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from dgeval.config import load_config
 from dgeval.geometry import Intrinsics, invert, rotation_angle
+from dgeval.perception import align
 from dgeval.perception.pipeline import Perception
 from dgeval.perception.segmentation import points_of
+from dgeval.perception.trackers import model as model_tracker
 from dgeval.perception.trackers.model import ModelTracker, TrackingInput
 from dgeval.recording.frame import Frame
 from dgeval.replay.causal import Step, replay
@@ -91,12 +93,17 @@ def make(
 def run(frames: list[Frame], box: tuple[float, ...], *settings: str) -> list[Step]:
     trial: Any = SimpleNamespace(
         robot=SimpleNamespace(
-            description=None, hand=None, base_frame="base", T_base_palm=lambda _: None
+            description=None,
+            hand=None,
+            base_frame="base",
+            T_base_palm=lambda _: None,
+            palm_stamps=lambda _: [],
         ),
         spec=SimpleNamespace(bbox=box, bbox_time_ns=None),
         event_ns=lambda _: None,
         frames=lambda: iter(frames),
-        scan=SimpleNamespace(poses={}),
+        pairs=[SimpleNamespace(t_ns=frame.t_ns) for frame in frames],
+        scan=SimpleNamespace(poses={}, numbers={}),
     )
     return list(replay(trial, load_config("dynamic", ("grasps.source=none", *settings))))
 
@@ -216,6 +223,28 @@ def test_without_depth_the_box_is_followed_and_no_pose_is_made_up() -> None:
     assert all(s.row["tracking"] == "tracked" for s in steps)
     assert all(s.row.get("model_px") is None and s.row.get("velocity_x") is None for s in steps)
     assert np.abs(np.array(steps[-1].tracked.box) - np.array(boxes[-1])).max() < 8
+
+
+def test_what_comes_too_near_for_depth_is_followed_in_colour(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Fails where a target is lost with its depth, as none of its own colours tells it apart, and
+    the features of its model are of other views.
+    """
+    whole = align.align_to_image
+    monkeypatch.setattr(model_tracker, "look_alikes", lambda *_: [])
+    monkeypatch.setattr(align, "align_to_image", lambda *given: (*whole(*given)[:3], 0))
+    frames, boxes = make(20, slide, no_depth=lambda k: k >= 8)
+    steps = run(frames, boxes[0])
+    assert all(s.tracked.state == "tracked" for s in steps)
+    for step, box in zip(steps[8:], boxes[8:], strict=True):
+        assert step.tracked.T_camera_model is None
+        assert step.tracked.box is not None
+        assert np.abs(np.array(step.tracked.box) - np.array(box)).max() < 8
+    # with depth of other things in its box nothing says that it is there still
+    for frame in frames[12:]:
+        frame.depth[frame.depth == 0] = 0.65
+    assert [s.tracked.state for s in run(frames, boxes[0])[12:]] == ["lost"] * 8
 
 
 def test_a_gap_in_the_frames_is_bridged_by_the_velocity() -> None:

@@ -40,6 +40,7 @@ LEAST_HIDDEN, HALF = 0.1, 0.5
 # confidence: of what colours alone found, at most; share of agreeing depth of which there is none;
 # followed features, in least numbers of them, of which it is full; ours
 FOUND_CONFIDENCE, LEAST_AGREE, FEATURES_SURE = 0.9, 0.4, 4
+NO_DEPTH = 0.5  # share of a box without depth, from which on its target may be too near for it
 LEARNT_EVERY = 3  # frames; of these one is learnt from
 LEARNT_ALIKE = 0.85  # likeness, below which what is tracked is not learnt: it may be something else
 LEARNT_AGREE = 0.8  # share of agreeing depth from which on a mask shows what the target looks like
@@ -95,6 +96,10 @@ class ModelTracker:
         self._area_m2 = 0.0
         self._agree = 0.0
         self._hidden = 0.0
+        # the picture and box of the last frame in which the model was tracked, and what follows it
+        # in colour since
+        self._last_seen: tuple[Grey, Box] | None = None
+        self._near: ImageTrack | None = None
 
     def step(self, given: TrackingInput) -> Tracked:
         """The target's box, mask, pose and features in the next frame."""
@@ -121,7 +126,11 @@ class ModelTracker:
             hidden = self._hidden_at(frame, given.model, given.T_predicted)
             lost = Tracked("lost", plane=tracked.plane, confidence=0.0, occluded=hidden > HALF)
             tracked = self._search(frame, grey, given.model, given.T_predicted, lost)
+            if tracked.state == "lost":
+                tracked = self._follow_near(frame, grey, lost)
             alike = self._looks(tracked)
+        if tracked.T_camera_model is not None and tracked.box is not None:
+            self._last_seen, self._near = (grey, tracked.box), None
         if tracked.state == "lost":
             self._lost_since = self._lost_since if was_lost else frame.t_ns
             return tracked
@@ -359,6 +368,27 @@ class ModelTracker:
                 return tracked
         self._agree = 0.0
         return Tracked("tracked", best.box, plane=lost.plane)
+
+    def _follow_near(self, frame: Frame, grey: Grey, lost: Tracked) -> Tracked:
+        """A target that was tracked to where the camera has no depth: its box, in colour."""
+        if self._last_seen is None:
+            return lost
+        if self._near is None:
+            self._near = ImageTrack(*self._last_seen, self.config.tracking)
+        followed = self._near.step(grey)
+        box = self._near.box
+        window = segmentation.grow(box, 0.0, 0, frame.camera)
+        depth = frame.depth[window[1] : window[3], window[0] : window[2]]
+        if (
+            followed < 2 * self.config.tracking.min_corners
+            or visible(box, frame.camera) < self._min_visible()
+            or not depth.size
+            or float((depth == 0).mean()) < NO_DEPTH
+        ):
+            self._last_seen = self._near = None
+            return lost
+        self._agree = 0.0
+        return Tracked("tracked", inside(box, frame.camera), plane=lost.plane)
 
     # boxes
 
