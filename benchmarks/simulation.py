@@ -141,7 +141,7 @@ def main() -> None:
     )
     notes = (
         f"Stood in: modelled perception for TransT-M and ICP in the loop, {stand_in}; "
-        f"servo gains {verdict['gains']}; faults as in the scenario."
+        "faults as in the scenario."
     )
     clean = [r for r in results if not r["verdict"]["faults_present"]]
     parts = [notes, rates(results, paper, "speed"), rates(results, paper, "object")]

@@ -125,7 +125,8 @@ FRAMES: tuple[Column, ...] = (
         "execute",
         "bool",
         "",
-        "score above c_e; vfas: the pre-grasp pose has been held",
+        "close now, in a control period since the frame before: score above c_e, or the robot's "
+        "own decision; vfas: the pre-grasp pose has been held",
         "execution",
     ),
 )
@@ -182,7 +183,7 @@ STAGES: tuple[str, ...] = (
 TRIALS: tuple[Column, ...] = (
     Column("trial", "str", "", "id, unique in the run", "trial"),
     Column("recording", "str", "", "file name of the recording", "trial"),
-    Column("pipeline", "str", "", "dynamic or vfas", "trial"),
+    Column("pipeline", "str", "", "dynamic, handover or vfas", "trial"),
     Column("base_frame", "str", "", "frame of base quantities", "trial"),
     Column("scenario", "str", "", "from the manifest", "trial"),
     Column("object", "str", "", "from the manifest", "trial"),
@@ -196,7 +197,7 @@ TRIALS: tuple[Column, ...] = (
     Column("self_filter", "str", "", "geometry, mask or none", "trial"),
     Column("target_source", "str", "", "bbox, recorded (marked in the log) or automatic", "trial"),
     Column("t_execute_ns", "int", "ns",
-           "first frame in which the replay would have closed", "trial"),
+           "first control period in which the replay would have closed", "trial"),
     Column("t_close_ns", "int", "ns", "close command, or what was taken for it", "trial"),
     Column("close_source", "str", "", "event, manifest, command, joints, width or effort", "trial"),
     Column("closing_source", "str", "",

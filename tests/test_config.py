@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import pytest
 from dgeval.config import load_config
 from dgeval.errors import UsageError
+from dgeval.planning.execution import PAPER_C_E
+
+
+def test_a_handover_has_values_of_its_own() -> None:
+    """Fails where a handover is replayed as a belt, or a person's word for a value is not kept."""
+    config = load_config("handover")
+    assert (config.pipeline, config.estimation.loss_policy) == ("handover", "zero")
+    assert config.estimation.sigma_acceleration == 1.0
+    belt = load_config("dynamic", ("estimation.sigma_acceleration=0.5",))
+    assert belt.of_scenario("conveyor") == belt.of_scenario(None) == belt
+    again = pickle.loads(pickle.dumps(belt))  # as a worker gets it
+    for one in (belt, again):
+        held_out = one.of_scenario("handover")
+        assert held_out.pipeline == "handover"
+        assert held_out.estimation.loss_policy == "zero"
+        assert held_out.estimation.sigma_acceleration == 0.5, "as given"
+    assert load_config("vfas").of_scenario("handover").pipeline == "vfas"
+    with pytest.raises(UsageError, match="no pipeline 'belt'"):
+        load_config("belt")
 
 
 def test_defaults_are_the_papers_table_v() -> None:
@@ -17,7 +37,7 @@ def test_defaults_are_the_papers_table_v() -> None:
         c.registration.c_a_v,
         c.registration.c_a_w,
     ) == (0.1, 0.8, 4.0, 4.0)
-    assert (c.fusion.n_s, c.fusion.epsilon, c.execution.c_e) == (5, 0.01, 0.7)
+    assert (c.fusion.n_s, c.fusion.epsilon, PAPER_C_E) == (5, 0.01, 0.7)
     assert (c.selection.c_m_s, c.selection.c_m_t, c.selection.c_m_r) == (1.0, -0.1, -0.2)
     assert (
         c.servo.c_O,

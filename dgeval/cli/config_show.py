@@ -22,7 +22,9 @@ def main() -> None:
 )
 @command
 def show(
-    pipeline: Annotated[str, typer.Option(help="dynamic, or a FILE.toml.")] = "dynamic",
+    pipeline: Annotated[
+        str, typer.Option(help="dynamic, handover, vfas, or a FILE.toml.")
+    ] = "dynamic",
     set_: Annotated[list[str] | None, typer.Option("--set", help="section.key=value.")] = None,
     json_: Annotated[bool, typer.Option("--json", help="JSON instead of TOML.")] = False,
 ) -> None:

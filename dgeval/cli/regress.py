@@ -30,7 +30,7 @@ def regress(
         Path, typer.Option(help="Folder of the run, junit.xml, regress.md, regress.html.")
     ] = Path("runs/regress"),
     pipeline: Annotated[
-        str, typer.Option(help="dynamic, or a FILE.toml with its parameters.")
+        str, typer.Option(help="dynamic, handover, vfas, or a FILE.toml with its parameters.")
     ] = "dynamic",
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="section.key=value, to try a change.")

@@ -33,7 +33,7 @@ def replay(
         Path, typer.Option(help="Run folder. A finished trial in it is not done again.")
     ] = Path("runs/latest"),
     pipeline: Annotated[
-        str, typer.Option(help="dynamic, vfas, or a FILE.toml with its parameters.")
+        str, typer.Option(help="dynamic, handover, vfas, or a FILE.toml with its parameters.")
     ] = "dynamic",
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="section.key=value; see `dgeval config show`.")

@@ -119,15 +119,18 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
         if same_digests:
             continue
         hindsight = old.hindsight(trial)
-        close_ns = None if pd.isna(a["t_close_ns"]) else int(a["t_close_ns"])
+        close_ns, was_ns, now_ns = (
+            None if pd.isna(t) else int(t)
+            for t in (a["t_close_ns"], a["t_execute_ns"], b["t_execute_ns"])
+        )
         frames = old.frames(trial)
-        before.append(trial_metrics(frames, hindsight, close_ns))
+        before.append(trial_metrics(frames, hindsight, close_ns, was_ns))
         after.append(before[-1])
         if any(a[f"digest_{s}"] != b[f"digest_{s}"] for s in STAGES):
             new_frames = new.frames(trial)
             if (trial_difference := difference(trial, frames, new_frames)) is not None:
                 differences.append(trial_difference)
-                after[-1] = trial_metrics(new_frames, hindsight, close_ns)
+                after[-1] = trial_metrics(new_frames, hindsight, close_ns, now_ns)
     values = tuple(
         {m.name: np.array([row[m.name] for row in side]) for m in METRICS}
         for side in (before, after)

@@ -68,11 +68,15 @@ METRICS = (
 
 
 def trial_metrics(
-    frames: pd.DataFrame, hindsight: pd.DataFrame | None, close_ns: int | None
+    frames: pd.DataFrame,
+    hindsight: pd.DataFrame | None,
+    close_ns: int | None,
+    execute_ns: int | None,
 ) -> dict[str, float]:
     """METRICS of one trial by name, in their units; NaN where there is nothing to measure.
 
-    frames, hindsight: tables of that trial. close_ns: stamp of the recorded close, or None.
+    frames, hindsight: tables of that trial. close_ns, execute_ns: stamps of the recorded close and
+    of the replay's, or None.
     """
     out = dict.fromkeys((m.name for m in METRICS), math.nan)
     out["lost"] = float((frames["tracking"] == "lost").mean())
@@ -80,9 +84,8 @@ def trial_metrics(
     fitness = frames["icp_gate_fitness"].dropna()
     if len(fitness):
         out["gate_fitness"] = float(fitness.median())
-    execute_ns = frames.loc[frames["execute"].fillna(False).astype(bool), "t_ns"]
-    if close_ns is not None and len(execute_ns):
-        out["close_time"] = abs(int(execute_ns.iloc[0]) - close_ns) * 1e-9
+    if close_ns is not None and execute_ns is not None:
+        out["close_time"] = abs(execute_ns - close_ns) * 1e-9
     path = None if hindsight is None else hindsight[hindsight["by"] == "path"]
     if path is None or len(path) < 10:
         return out

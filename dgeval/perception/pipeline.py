@@ -94,17 +94,21 @@ class Perception:
         self._R_before: Array | None = None
         self._turned = np.zeros(3)
 
-    def predict(self, frame: Frame, T_base_camera: Array | None) -> Array | None:
+    def predict(
+        self, frame: Frame, T_base_camera: Array | None, moves: bool = True
+    ) -> Array | None:
         """T_camera_model (4, 4) at this frame, before its images are used; None without a model.
 
         The camera's motion and the estimated velocity carry the last pose, and its turn if the
-        object was seen to turn.
+        object was seen to turn. moves: else the object stands still in the base frame.
         """
         if self.T_prior is None:
             return None
         if T_base_camera is None or self.T_base_camera is None:
             return self.T_prior
         T_base_model = self.T_base_camera @ self.T_prior
+        if not moves:
+            return orthonormalise(invert(T_base_camera) @ T_base_model)
         model = self.fusion.model
         if model is not None and float(np.linalg.norm(self.turn)) > LEAST_TURN:
             R = Rotation.from_rotvec(self.turn * (frame.t_ns - self.turn_ns) * 1e-9).as_matrix()
@@ -159,6 +163,9 @@ class Perception:
         lap("observation")
         registration = _register(self, frame, tracked, observation, predicted, config)
         lap("registration")
+        if config.estimation.loss_policy == "zero":
+            # where it is looked for is one thing, where a lost target is taken to be another
+            predicted = self.predict(frame, T_base_camera, moves=False)
         fused = _fuse(self, frame, tracked, observation, registration, predicted, config)
         lap("fusion")
         estimate = _estimate(self, frame, T_base_camera)

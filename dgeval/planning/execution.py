@@ -12,16 +12,20 @@ import numpy as np
 from dgeval.config import ExecutionConfig
 from dgeval.geometry import Array, rotation_angle
 
+PAPER_C_E = 0.7  # Table V; of the authors' evaluator
+
 
 def execute(
     hand_score: float | None,
+    c_e: float,
     config: ExecutionConfig,
     T_base_palm: Array | None,
     T_base_grasp: Array,
 ) -> bool | None:
     """True if the score is above the threshold, strictly; poses are (4, 4), base frame.
 
-    None without a score (none was recorded), or without a palm pose if `arrived_m` needs one.
+    c_e: threshold of whatever gave the score, where the configuration has none. None without a
+    score (none was recorded), or without a palm pose if `arrived_m` needs one.
     """
     if hand_score is None:
         return None
@@ -32,4 +36,4 @@ def execute(
         turn = rotation_angle(T_base_palm[:3, :3].T @ T_base_grasp[:3, :3])
         if metres > config.arrived_m or np.degrees(turn) > config.arrived_deg:
             return False
-    return hand_score > config.c_e
+    return hand_score > (c_e if config.c_e is None else config.c_e)

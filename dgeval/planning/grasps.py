@@ -26,6 +26,7 @@ from dgeval.networks.ffhnet import (
     palms_of,
     poses_of,
 )
+from dgeval.planning.execution import PAPER_C_E
 from dgeval.planning.hand_overlap import depth_below, overlap, standing_points
 from dgeval.robots.hand import KnownHand, hand_for
 
@@ -37,6 +38,9 @@ CHUNK = 32  # candidates whose overlap is calculated at a time
 # exclude it
 KEPT_SLACK = 2.5
 MOST_TRIED = 32  # candidates that the arm can't reach before the search ends without one
+# threshold of the shipped evaluator, which says chances where the authors' is surer
+# (dgeval/networks/weights/README.md)
+SHIPPED_C_E = 0.4
 PATH_STEPS = 3  # places tested on the path to a grasp
 
 
@@ -45,12 +49,14 @@ class Networks:
     """Generator and evaluator with the same basis points, for one hand.
 
     upright: they learned clouds with z down; else clouds in the camera's axes, as the authors'.
+    c_e: score of the hand above which to close, which belongs to the evaluator.
     """
 
     generator: FFHGenerator
     evaluator: FFHEvaluator
     upright: bool = False
     hand: KnownHand = field(default_factory=lambda: hand_for("ffhnet"))
+    c_e: float = PAPER_C_E
 
     @property
     def n_bps(self) -> int:
@@ -106,7 +112,12 @@ def _load(generator_file: str | None, evaluator_file: str | None) -> Networks:
     grasp_evaluator = load_evaluator(
         Path(evaluator_file) if evaluator_file else shipped / "ffhnet_evaluator_fingers.safetensors"
     )
-    networks = Networks(grasp_generator, grasp_evaluator, grasp_evaluator.upright)
+    networks = Networks(
+        grasp_generator,
+        grasp_evaluator,
+        grasp_evaluator.upright,
+        c_e=PAPER_C_E if evaluator_file else SHIPPED_C_E,
+    )
     n_evaluator = (
         grasp_evaluator.bn1.num_features - 12 - (N_JOINTS if grasp_evaluator.joints else 0)
     )

@@ -13,8 +13,6 @@ from dgeval.config import ServoConfig
 from dgeval.geometry import Array, invert, rotation_angle, rotation_vector
 from dgeval.robots.hand import Hand
 
-FAST_DERIVATIVE_GAINS = (0.2, 0.5)  # c_d,v and c_d,w (docs/papers.md, "Derivative of equation 7")
-
 
 @dataclass(frozen=True, slots=True)
 class ServoCommand:
@@ -53,9 +51,10 @@ def blend_rotation(distance: float, r_O: Array, r_G: Array, config: ServoConfig)
 
 
 class Servo:
-    """Equation 7 with the error's derivative low-passed over derivative_tau s.
+    """Equation 7, its derivative being the error's difference from one control period to the next.
 
-    Read literally the equation diverges (docs/papers.md, "Derivative of equation 7").
+    Divided by the period it diverges with Table V's gains (docs/papers.md, "Derivative of equation
+    7").
     """
 
     def __init__(self, config: ServoConfig, hand: Hand) -> None:
@@ -66,8 +65,8 @@ class Servo:
         self.reset()
 
     def reset(self) -> None:
-        self._last: tuple[int, Array, Array] | None = None
-        self._derivative = np.zeros(6)
+        self._last: tuple[int, Array] | None = None
+        self._difference = np.zeros(6)
 
     def step(
         self,
@@ -77,13 +76,15 @@ class Servo:
         T_base_camera: Array | None,
         target: Array,
         velocity: Array,
+        is_period: bool = True,
     ) -> ServoCommand:
         """Command for the recorded palm towards the grasp; poses (4, 4), base frame.
 
         target (3,) m and velocity (3,) m/s: of the object, base frame. Without a camera pose the
         orientation error is that of the grasp at any distance. With `beyond_m` the hand passes
         through the grasp at some speed; commanded to the grasp itself it creeps, and it always
-        closes short of the grasp.
+        closes short of the grasp. is_period: of the control loop; else nothing is remembered, and
+        the error's difference is that of the last period.
         """
         c = self.config
         t_G = T_base_grasp[:3, 3] - T_base_palm[:3, 3]
@@ -99,12 +100,10 @@ class Servo:
             else blend_rotation(distance, look_at_rotation(T_base_camera, target), r_G, c)
         )
         error = np.concatenate([t_G, r])
-        if self._last is not None and t_ns > self._last[0]:
-            dt = (t_ns - self._last[0]) * 1e-9
-            raw = (error - np.concatenate(self._last[1:])) / dt
-            self._derivative += dt / (dt + c.derivative_tau) * (raw - self._derivative)
-        self._last = (t_ns, t_G, r)
-        d_v, d_w = (c.c_d_v, c.c_d_w) if c.gains == "paper" else FAST_DERIVATIVE_GAINS
-        v = c.c_p_v * t_G + d_v * self._derivative[:3] + velocity
-        w = c.c_p_w * r + d_w * self._derivative[3:]
+        if is_period and (self._last is None or t_ns > self._last[0]):
+            if self._last is not None:
+                self._difference = error - self._last[1]
+            self._last = t_ns, error
+        v = c.c_p_v * t_G + c.c_d_v * self._difference[:3] + velocity
+        w = c.c_p_w * r + c.c_d_w * self._difference[3:]
         return ServoCommand(distance, rotation_angle(R), np.concatenate([v, w]))

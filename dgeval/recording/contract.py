@@ -41,6 +41,9 @@ GRASP_TOPIC: Final = "/dgeval/belief/grasp"
 GRASP_JOINTS_TOPIC: Final = "/dgeval/belief/grasp_joints"
 """JointState, rad or m: the preshape of the chosen grasp."""
 
+GRASP_SCORE_TOPIC: Final = "/dgeval/belief/grasp_score"
+"""Float64: predicted success of the chosen grasp, which equations 3 to 5 weigh."""
+
 SCORE_TOPIC: Final = "/dgeval/belief/score"
 """Float64: the grasp score of the hand as it is."""
 

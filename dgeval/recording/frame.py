@@ -12,14 +12,6 @@ from dgeval.robots.description import LinkShape
 
 
 @dataclass(frozen=True, slots=True)
-class RecordedGrasp:
-    """The grasp that the robot had chosen: T_base_palm (4, 4), and its score of the hand pose."""
-
-    T_base_palm: Array
-    score: float | None
-
-
-@dataclass(frozen=True, slots=True)
 class MarkedThing:
     """One thing that the log marks in a picture: as a mask, as a box, or by its pose.
 
@@ -40,9 +32,9 @@ class Frame:
     """Colour and depth at a time, with the state of the robot.
 
     colour: (H, W, 3) uint8 RGB. depth: (H, W) float32, m, aligned to colour, 0 = no reading. hand:
-    its solids with T_camera_shape; None where the hand's geometry is not known. grasp: the newest
-    one in the log, or None. colour_file: the image's bytes as recorded where it was compressed, for
-    the review recording. marked: what the log marks in it, where the tracker asks for that.
+    its solids with T_camera_shape; None where the hand's geometry is not known. colour_file: the
+    image's bytes as recorded where it was compressed, for the review recording. marked: what the
+    log marks in it, where the tracker asks for that.
     """
 
     index: int
@@ -53,6 +45,5 @@ class Frame:
     T_base_camera: Array | None
     T_base_palm: Array | None
     hand: list[tuple[LinkShape, Array]] | None = None
-    grasp: RecordedGrasp | None = None
     colour_file: bytes | None = None
     marked: tuple[MarkedThing, ...] = ()

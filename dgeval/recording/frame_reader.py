@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,21 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.errors import Damage, Place, UndecodableError, UnreadableError
-from dgeval.geometry import matrix_from_pose
 from dgeval.recording.camera import Camera
 from dgeval.recording.containers.container import Opened, RawMessage
-from dgeval.recording.contract import GRASP_TOPIC
-from dgeval.recording.frame import Frame, MarkedThing, RecordedGrasp
+from dgeval.recording.frame import Frame, MarkedThing
 from dgeval.recording.images import colour_from, decode_image
 from dgeval.recording.pairing import Pair
 from dgeval.recording.robot import RobotStates
-from dgeval.recording.scan import Scan
 from dgeval.recording.video import VideoDecoder
 
 MAX_WAITING = 64  # images of one role held in memory while their partners are waited for
-SCORE_LATE_NS = 1_000_000  # ns; a score logged this long after its grasp still belongs to it
-
-RecordedGrasps = tuple[tuple[int, RecordedGrasp], ...]
 
 
 @dataclass
@@ -50,7 +43,6 @@ class LostFrames:
 class FrameReader:
     """Reads a trial's frames from its recording, as often as it is asked to.
 
-    grasps: the robot's own choices with their stamps, ns, in time order; a frame gets the newest.
     codec: of colour as video. marked: what the log marks, by the time of its picture, ns.
     """
 
@@ -60,7 +52,6 @@ class FrameReader:
     pairs: tuple[Pair, ...]
     camera: Camera
     robot: RobotStates
-    grasps: RecordedGrasps
     lost: LostFrames = field(compare=False)
     codec: str | None = None
     marked: Mapping[int, tuple[MarkedThing, ...]] = field(default_factory=dict)
@@ -166,7 +157,6 @@ class FrameReader:
             return None
         if self.camera.static_mask is not None:
             depth[self.camera.static_mask > 0] = 0.0
-        at = bisect_right(self.grasps, t_ns, key=lambda g: g[0])
         return Frame(
             index,
             t_ns,
@@ -176,7 +166,6 @@ class FrameReader:
             self.robot.T_base_camera(t_ns),
             self.robot.T_base_palm(t_ns),
             self.robot.hand_shapes(t_ns),
-            self.grasps[at - 1][1] if at else None,
             self._as_recorded(decoded),
             self.marked.get(t_ns, ()),
         )
@@ -189,13 +178,3 @@ class FrameReader:
 
     def _lose(self, t_ns: int, reason: str) -> None:
         self.lost.add(reason, Place(str(self.opened.path), t_ns=t_ns))
-
-
-def recorded_grasps(scan: Scan) -> RecordedGrasps:
-    """The grasps that the robot chose, each with the newest score of the hand by then."""
-    out = []
-    for pose in scan.poses.get(GRASP_TOPIC, []):
-        scores = [s for t_ns, s in scan.scores if t_ns <= pose.t_ns + SCORE_LATE_NS]
-        grasp = RecordedGrasp(matrix_from_pose(pose.pose), scores[-1] if scores else None)
-        out.append((pose.t_ns, grasp))
-    return tuple(sorted(out, key=lambda g: g[0]))

@@ -171,6 +171,29 @@ class RobotStates:
             return None
         return self.tree.lookup(self.base_frame, self.palm_frame, t_ns)
 
+    def palm_stamps(self, least_s: float) -> list[int]:
+        """Times, ns, of the recorded states that move the palm in the base frame, in order.
+
+        Those of the joint or frame between them that is recorded most often, at least least_s
+        apart.
+        """
+        if self.palm_frame is None or self.base_frame is None:
+            return []
+        tree, joints = self.tree, self.description.joints if self.description else {}
+        listed: list[list[int]] = [[]]
+        for frame in tree.ancestors(self.palm_frame):
+            if frame == self.base_frame:
+                break
+            if frame in tree.moving:
+                listed.append(tree.moving[frame][1].times)
+            elif frame in tree.computed and frame in joints:
+                listed.append(self.joints.times.get(joints[frame].follows, []))
+        out: list[int] = []
+        for t_ns in max(listed, key=len):
+            if not out or t_ns - out[-1] >= least_s * 1e9:
+                out.append(t_ns)
+        return out
+
     def hand_shapes(self, t_ns: int) -> list[tuple[LinkShape, Array]] | None:
         """The hand's solids with T_camera_shape; None where a link's pose is not known then."""
         if self.description is None or not self.hand_links:

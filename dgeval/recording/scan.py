@@ -22,6 +22,8 @@ from dgeval.recording.containers.container import Opened, RawMessage
 from dgeval.recording.contract import (
     DEPTH_UNIT,
     EVENTS_TOPIC,
+    EXECUTE_TOPIC,
+    GRASP_SCORE_TOPIC,
     IMAGE_METADATA,
     ROBOT_DESCRIPTION,
     SCORE_TOPIC,
@@ -57,6 +59,7 @@ from dgeval.recording.namespaces import namespace_of
 from dgeval.recording.video import EXTRA, VideoDecoder, codec_of, is_available
 
 # what a message that does not hold what its type says leads to
+NUMBERS = frozenset({GRASP_SCORE_TOPIC, SCORE_TOPIC, EXECUTE_TOPIC})
 NOT_USABLE = (
     UndecodableError,
     ValueError,
@@ -137,8 +140,8 @@ class Scan:
 
     depth_units: m per unit, by the topic of librealsense's option. not_events: entries of the
     events' topic that are not understood. description_changes: topics of several descriptions.
-    recorder_clock: where the recorder's clock is not that of the stamps; events and scores without
-    a stamp are moved by it.
+    recorder_clock: where the recorder's clock is not that of the stamps; events and numbers
+    without a stamp are moved by it. numbers: by topic, each with its log time, ns.
     """
 
     opened: Opened
@@ -152,7 +155,7 @@ class Scan:
     joints: dict[str, list[JointSample]] = field(default_factory=lambda: defaultdict(list))
     grippers: dict[str, list[tuple[int, float]]] = field(default_factory=lambda: defaultdict(list))
     detections: dict[str, list[Detection]] = field(default_factory=lambda: defaultdict(list))
-    scores: list[tuple[int, float]] = field(default_factory=list)
+    numbers: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
     not_events: list[str] = field(default_factory=list)
     recorder_clock: RecorderClock | None = None
@@ -253,8 +256,9 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 if number is not None:
                     at = message.log_ns if header is None else stamp_ns(gripper)
                     out.grippers[message.topic].append((at or message.log_ns, number))
-            elif message.topic == SCORE_TOPIC:
-                out.scores.append((message.log_ns, float(opened.decode(message).data)))
+            elif message.topic in NUMBERS:
+                value = float(opened.decode(message).data)
+                out.numbers.setdefault(message.topic, []).append((message.log_ns, value))
         except NOT_USABLE as error:
             if topic.type in STAMPED and len(times.header_ns) < len(times.log_ns):
                 times.header_ns.append(0)  # so that the stamps of the others stay theirs
@@ -332,7 +336,10 @@ def _onto_the_stamps_clock(found: Scan) -> None:
     found.events = [
         replace(e, t_ns=clock.stamp_ns(e.t_ns)) if e.is_log_time else e for e in found.events
     ]
-    found.scores = [(clock.stamp_ns(t_ns), score) for t_ns, score in found.scores]
+    found.numbers = {
+        topic: [(clock.stamp_ns(t_ns), value) for t_ns, value in listed]
+        for topic, listed in found.numbers.items()
+    }
 
 
 def _stamp(message: RawMessage, encoding: str, opened: Opened) -> int:

@@ -27,7 +27,7 @@ from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import CLOSE_EVENT, EventKind
 from dgeval.recording.events import Events, events_within
 from dgeval.recording.frame import Frame, MarkedThing
-from dgeval.recording.frame_reader import FrameReader, LostFrames, recorded_grasps
+from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.pairing import Pair, Window, pair_images, stamp_notes, window_of
 from dgeval.recording.recorded_target import RECORDED, UNDECODABLE, marks_of, unusable
@@ -111,10 +111,10 @@ class Trial:
 def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Trial:
     """Read the recording once, find roles, pair images, cut the trial's window out.
 
-    sha256: of the recording where the caller knows it; else it is computed here. UnreadableError,
-    UsageError.
+    sha256: of the recording where the caller knows it; else it is computed here. The trial's
+    configuration is that of its scenario. UnreadableError, UsageError.
     """
-    place = Place(str(spec.recording))
+    place, config = Place(str(spec.recording)), config.of_scenario(spec.scenario)
     opened = open_container(spec.recording, spec.parts)
     if sha256 is None:
         sha256 = sha256_of(spec.recording, spec.parts)
@@ -175,15 +175,13 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
         *([] if spec.label or events.label() else unread_results(scanned)),
         *stamp_notes(window.stamp_faults),
     ]
-    grasps, lost = recorded_grasps(scanned), LostFrames(opened.damage)
+    lost = LostFrames(opened.damage)
     codec = scanned.images[colour].codec
     things: dict[int, tuple[MarkedThing, ...]] = {}
     if config.tracking.method == RECORDED:
         things, told = _marked(scanned, roles.target, window.pairs, camera, robot, place)
         notes += told
-    reader = FrameReader(
-        opened, colour, depth, window.pairs, camera, robot, grasps, lost, codec, things
-    )
+    reader = FrameReader(opened, colour, depth, window.pairs, camera, robot, lost, codec, things)
     close_ns = events.first_ns(CLOSE_EVENT)
     checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock, close_ns)
     if not spec.parts:

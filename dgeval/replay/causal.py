@@ -7,6 +7,7 @@ robot, from past frames alone.
 from __future__ import annotations
 
 import time
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,15 +16,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dgeval.config import Config, GraspsConfig
-from dgeval.geometry import Array, matrix_from_pose, transform
+from dgeval.errors import Place, UsageError
+from dgeval.geometry import Array, matrix_from_pose
 from dgeval.perception.pipeline import Perceived, Perception
 from dgeval.perception.target import find_target
 from dgeval.perception.types import Model, Tracked
-from dgeval.planning.execution import execute
-from dgeval.planning.recorded_grasps import Choice, GraspResult, RecordedGrasps
-from dgeval.planning.schedule import Delayed
-from dgeval.planning.servo import Servo, ServoCommand
-from dgeval.recording.contract import CLOSE_EVENT, GRASP_TOPIC, SEED_TOPIC
+from dgeval.planning.carried import Belief
+from dgeval.planning.control import Control, Controller, Grasps, HandState
+from dgeval.planning.recorded_grasps import RecordedGrasps
+from dgeval.recording.choices import recorded_choices
+from dgeval.recording.contract import CLOSE_EVENT, EXECUTE_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
 from dgeval.recording.messages import StampedPose
 from dgeval.recording.robot import RobotStates
@@ -33,7 +35,6 @@ from dgeval.replay.target_search import FoundTarget
 from dgeval.robots.hand import KnownHand, hand_named
 
 if TYPE_CHECKING:
-    from dgeval.planning.model_grasps import ModelGrasps
     from dgeval.planning.vfas.replayed import VfasGrasps, VfasResult
 
 DEFAULT_HAND = "dlr_hit_hand"  # its palm frame is used where no known hand is described
@@ -42,28 +43,20 @@ MAX_SEARCHED = 30
 
 
 @dataclass(frozen=True)
-class Control:
-    """Whether to close now (None: not known), and the servo's command (None: no palm pose)."""
-
-    execute: bool | None
-    command: ServoCommand | None
-
-
-@dataclass(frozen=True)
 class Step:
     """One frame's stage results, and the wall time of each stage, s.
 
-    grasps, control: of the dynamic pipeline; None before there are candidates, and before there is
-    a grasp. vfas: of the pipeline `vfas`; None before there is a seed. T_base_camera (4, 4): None
-    where the pose of the camera is not known.
+    control: of the dynamic pipeline, at the frame's time; None with the other. periods: the control
+    periods since the frame before. vfas: of the pipeline `vfas`; None before there is a seed.
+    T_base_camera (4, 4): None where the pose of the camera is not known.
     """
 
     frame: Frame
     T_base_camera: Array | None
     seconds: dict[str, float]
     perceived: Perceived
-    grasps: GraspResult | None
     control: Control | None
+    periods: tuple[Control, ...]
     vfas: VfasResult | None
 
     @property
@@ -89,10 +82,22 @@ class Step:
 
     @property
     def execute(self) -> bool | None:
-        """Whether either pipeline would close the fingers now; None where that is not known."""
+        """Whether either pipeline would close the fingers now, or would have since the frame
+        before; None where that is not known.
+        """
         if self.vfas is not None:
             return self.vfas.selected.execute
+        if self.execute_ns is not None:
+            return True
         return None if self.control is None else self.control.execute
+
+    @property
+    def execute_ns(self) -> int | None:
+        """The first time since the frame before at which the fingers would have closed."""
+        if self.vfas is not None:
+            return self.frame.t_ns if self.vfas.selected.execute else None
+        at_frame = () if self.control is None else (self.control,)
+        return next((c.t_ns for c in (*self.periods, *at_frame) if c.execute), None)
 
     @cached_property
     def row(self) -> dict[str, Any]:
@@ -113,17 +118,16 @@ def replay(
     without it and a box the target is looked for in the first frames.
     """
     perception = perception or Perception(config)
-    servo = Servo(config.servo, trial.robot.hand or hand_named(DEFAULT_HAND))
-    delayed: Delayed[Any] = Delayed(config.schedule.perception_latency_s)
     planner = _planner(trial, config)
-    source = grasp_source(trial.robot, bool(trial.scan.poses.get(GRASP_TOPIC)), config.grasps)
-    grasps = _grasps(source, trial.robot, config) if planner is None else None
+    controller = None if planner is not None else _controller(trial, config)
+    stamps = trial.robot.palm_stamps(config.schedule.control_period_s)
     palm_at_close = _palm_at(trial.robot, trial.event_ns(CLOSE_EVENT))
     moving_base = trial.robot.base_frame is not None
     given_box, given_box_ns = trial.spec.bbox, trial.spec.bbox_time_ns
     if given_box is None and target is not None:
         given_box, given_box_ns = target.box, target.t_ns
     searches = given_box is None
+    last_ns = trial.pairs[0].t_ns
     frames = trial.frames()
     while True:
         clock = _Clock()
@@ -143,23 +147,22 @@ def replay(
         ):
             box = find_target(frame, T_base_camera, palm_at_close, config)
         clock.lap("target")
-        perceived = perception.step(frame, T_base_camera, box, clock.lap)
-        T_camera_model = perceived.T_camera_model
-        usable = delayed.step(
-            frame.t_ns, (perceived.estimate, perceived.model, T_camera_model, T_base_camera)
-        )
-        model = perceived.model if perceived.accepted else None
-        vfas = None if planner is None else planner.step(frame, T_base_camera)
-        result = None
-        if grasps is not None:
-            result = grasps.choose(frame, T_base_camera, model, T_camera_model)
-        clock.lap("grasps")
-        choice = None if result is None else result.choice
-        control = None
-        if choice is not None:
-            control = _control(frame, T_base_camera, usable, choice, servo, config)
+        periods: list[Control] = []
+        if controller is not None:
+            since, until = bisect_left(stamps, last_ns), bisect_left(stamps, frame.t_ns)
+            periods = controller.run(_states(trial.robot, stamps[since:until]))
+            last_ns = frame.t_ns
         clock.lap("control")
-        yield Step(frame, T_base_camera, clock.seconds, perceived, result, control, vfas)
+        perceived = perception.step(frame, T_base_camera, box, clock.lap)
+        vfas = None if planner is None else planner.step(frame, T_base_camera)
+        control = None
+        if controller is not None:
+            belief = _belief(frame, perceived, T_base_camera)
+            controller.see(frame.t_ns, frame.index, belief, perceived.model, T_base_camera)
+            clock.lap("grasps")
+            control = controller.at(HandState(frame.t_ns, frame.T_base_palm, T_base_camera))
+        clock.lap("control")
+        yield Step(frame, T_base_camera, clock.seconds, perceived, control, tuple(periods), vfas)
 
 
 def grasp_source(robot: RobotStates, recorded: bool, config: GraspsConfig) -> str:
@@ -175,15 +178,44 @@ def grasp_source(robot: RobotStates, recorded: bool, config: GraspsConfig) -> st
     return "ffhnet" if known and robot.palm_frame is not None else "none"
 
 
-def _grasps(source: str, robot: RobotStates, config: Config) -> RecordedGrasps | ModelGrasps | None:
+def _controller(trial: Trial, config: Config) -> Controller:
+    recorded = recorded_choices(trial.scan)
+    source = grasp_source(trial.robot, bool(recorded.times), config.grasps)
+    grasps: Grasps | None = None
     if source == "recorded":
-        return RecordedGrasps(config)
-    if source == "none":
-        return None
-    # imports torch, which takes longer than all other imports together
-    from dgeval.planning.model_grasps import ModelGrasps
+        grasps = RecordedGrasps(recorded, config)
+    elif source != "none":
+        # imports torch, which takes longer than all other imports together
+        from dgeval.planning.model_grasps import ModelGrasps
 
-    return ModelGrasps(robot, config)
+        grasps = ModelGrasps(trial.robot, config)
+    decisions, decides = recorded.decisions, config.execution.decision
+    if decides == "recorded" and not decisions.times:
+        raise UsageError(
+            f"execution.decision = 'recorded', but {EXECUTE_TOPIC} is not recorded",
+            Place(str(trial.spec.recording)),
+        )
+    auto = decides == "auto" and source == "recorded" and config.execution.c_e is None
+    known = decisions if decides == "recorded" or (auto and decisions.times) else None
+    return Controller(grasps, trial.robot.hand or hand_named(DEFAULT_HAND), config, known)
+
+
+def _states(robot: RobotStates, stamps: list[int]) -> list[HandState]:
+    """The states of the hand at recorded stamps, ns, where its pose is known."""
+    states = (HandState(t, robot.T_base_palm(t), robot.T_base_camera(t)) for t in stamps)
+    return [state for state in states if state.T_base_palm is not None]
+
+
+def _belief(frame: Frame, perceived: Perceived, T_base_camera: Array | None) -> Belief | None:
+    """The target as of a frame; None where nothing is known of it, or not any more."""
+    if perceived.model is None or perceived.fused.centroid is None or T_base_camera is None:
+        return None
+    assert perceived.T_camera_model is not None
+    estimate = perceived.estimate
+    velocity = np.zeros(3) if estimate is None else estimate.velocity
+    return Belief(
+        frame.t_ns, T_base_camera @ perceived.T_camera_model, velocity, perceived.accepted
+    )
 
 
 def recorded_seed(seeds: list[StampedPose], start_ns: int, end_ns: int) -> Array | None:
@@ -213,32 +245,6 @@ def _planner(trial: Trial, config: Config) -> VfasGrasps | None:
     return VfasGrasps(config, seed_of(trial), None if isinstance(gripper, str) else gripper)
 
 
-def _control(
-    frame: Frame,
-    T_base_camera: Array | None,
-    usable: tuple[int, Any] | None,
-    grasp: Choice,
-    servo: Servo,
-    config: Config,
-) -> Control:
-    """Execution and servo at the recorded palm pose.
-
-    usable: time of the image, and estimate, model, T_camera_model and T_base_camera of the newest
-    frame whose perception is done by now.
-    """
-    palm = frame.T_base_palm
-    close_now = execute(grasp.hand_score, config.execution, palm, grasp.T_base_palm)
-    if palm is None:
-        return Control(close_now, None)
-    estimate, model, T_camera_model, T_then = usable[1] if usable else (None, None, None, None)
-    velocity = estimate.velocity if estimate is not None else np.zeros(3)
-    target = grasp.T_base_palm[:3, 3]
-    if model is not None and T_camera_model is not None and T_then is not None:
-        target = transform(T_then @ T_camera_model, model.points.mean(axis=0)[None])[0]
-    command = servo.step(frame.t_ns, palm, grasp.T_base_palm, T_base_camera, target, velocity)
-    return Control(close_now, command)
-
-
 def _palm_at(robot: RobotStates, close_ns: int | None) -> Array | None:
     """Position (3,) of the palm at the recorded close, m, base frame: the target was near it.
 
@@ -257,5 +263,5 @@ class _Clock:
 
     def lap(self, stage: str) -> None:
         now = time.perf_counter()
-        self.seconds[stage] = now - self._last
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
         self._last = now

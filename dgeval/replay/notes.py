@@ -91,11 +91,16 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
 def ffhnet_notes(config: Config) -> list[str]:
     """Where the choice of a grasp departs from the paper, and the weights of FFHNet."""
     from dgeval.networks.checkpoints import published
+    from dgeval.planning.grasps import networks_of  # imports torch
 
     given = [Path(f) for f in (config.grasps.generator, config.grasps.evaluator) if f is not None]
     names = [published(path) or f"weights {path.name}" for path in given]
     weights = ", ".join(names if len(names) == 2 else [*names, "dgeval's own weights"])
-    return [*config.beyond_the_paper(), f"grasps by FFHNet with {weights}"]
+    own, given_c_e = networks_of(config.grasps).c_e, config.execution.c_e
+    closes = f"closing above a score of {own:g}, the threshold of these weights"
+    if given_c_e is not None and given_c_e != own:
+        closes = f"closing above a score of {given_c_e:g}, though these weights' own is {own:g}"
+    return [*config.beyond_the_paper(), f"grasps by FFHNet with {weights}, {closes}"]
 
 
 def vfas_notes(config: Config, seeded: bool, hand: Hand | None) -> list[str]:

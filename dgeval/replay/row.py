@@ -15,7 +15,7 @@ from dgeval.geometry import Array, pose_from_matrix
 
 if TYPE_CHECKING:
     from dgeval.perception.pipeline import Perceived
-    from dgeval.planning.recorded_grasps import GraspResult
+    from dgeval.planning.control import GraspResult
     from dgeval.planning.servo import ServoCommand
     from dgeval.planning.vfas.replayed import VfasResult
     from dgeval.replay.causal import Step
@@ -36,9 +36,9 @@ def row_of(step: Step) -> dict[str, object]:
     row |= _estimation(step.perceived)
     if frame.T_base_palm is not None:
         row |= pose_columns("hand", frame.T_base_palm)
-    if step.grasps is not None:
-        row |= _grasps(step.grasps)
     if step.control is not None:
+        if step.control.grasps is not None:
+            row |= _grasps(step.control.grasps)
         row |= _servo(step.control.command)
     if step.vfas is not None:
         row |= _vfas(step.vfas)

@@ -123,7 +123,7 @@ def _replay_trial(
     estimates: Estimates | None,
 ) -> TrialResult:
     trial = open_trial(spec, config, sha256)
-    key = resume_key(spec, config, trial.sha256, estimates)
+    key, config = resume_key(spec, config, trial.sha256, estimates), trial.config
     name = file_name(spec.id)
     mark = out / "trials" / f"{name}.json"
     if not force:
@@ -184,8 +184,8 @@ def _replay_trial(
                 seen = first_seen(step, trial, target, config)
                 if spec.bbox is None:
                     write_target(out / "pictures" / f"{name}-target.png", step)
-            if t_execute_ns is None and step.execute:
-                t_execute_ns = step.frame.t_ns
+            if t_execute_ns is None:
+                t_execute_ns = step.execute_ns
             model = step.model if step.model is not None else model
             last_ns = step.frame.t_ns
             if (observation := causal_frame_of(step)) is not None:
@@ -265,7 +265,7 @@ def trial_row(
 ) -> tuple[dict[str, Any], int, list[str]]:
     """The trial's row without its digests, the exit code, and messages for the user.
 
-    t_execute_ns: time of the first frame in which the replay would have closed. last_ns: time of
+    t_execute_ns: when the replay would have closed first. last_ns: time of
     the last frame. target: as it was found, where no box was given. seen: where it was first seen.
     estimates: as given to the run. perceived: notes of the perception.
     """

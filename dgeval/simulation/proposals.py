@@ -6,77 +6,27 @@ Known grasps have an analytic score.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dgeval.config import GraspsConfig
-from dgeval.geometry import Array, invert, rotation_angle
-from dgeval.planning.grasps import (
-    EncodedCloud,
-    Networks,
-    approach_free,
-    encode_cloud,
-    evaluate,
-    free_of,
-    overlap_allowed,
-    propose,
-)
+from dgeval.geometry import Array, invert, rotation_angle, transform
+from dgeval.planning.execution import PAPER_C_E
+from dgeval.planning.grasps import Networks
+from dgeval.planning.proposals import Proposals, drawn_proposals
 from dgeval.simulation.grasps import KnownGrasp
 from dgeval.simulation.perception import PerceivedObject
 from dgeval.simulation.scenario import EvaluatorConfig
 
 
-@dataclass(frozen=True)
-class Proposals:
-    """Candidates that move with the object as the robot believes it.
+class GraspSource(Protocol):
+    """Gives candidates for a frame, and scores a palm pose (GraspEval of the paper).
 
-    T_object_palm (n, 4, 4), preshapes (n, 15) rad, scores (n,). cloud: what they were drawn for, in
-    axes view with T_view_object; None of known grasps. support: normal (3,) and height m of the
-    support in those axes. kept: the last candidate is the grasp chosen before.
+    c_e: threshold of these scores, above which the hand closes.
     """
 
-    T_object_palm: Array
-    preshapes: Array
-    scores: Array
-    cloud: EncodedCloud | None = None
-    T_view_object: Array | None = None
-    config: GraspsConfig | None = None
-    support: tuple[Array, float] | None = None
-    kept: bool = False
-
-    def free(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Whether the hand at candidates (k,) lies outside the cloud they were drawn for.
-
-        Known grasps always do.
-        """
-        if self.cloud is None or self.T_view_object is None or self.config is None:
-            return np.ones(len(rows), bool)
-        poses = self.T_view_object @ self.T_object_palm[rows]
-        most = overlap_allowed(rows, len(self.scores), self.kept, self.config.max_overlap)
-        return free_of(self.cloud, poses, self.preshapes[rows], self.support, most)
-
-    def approach_free(self, row: int, T_object_hand: Array) -> bool:
-        """Whether the approach to a candidate from the palm's pose is free.
-
-        The approach to the grasp chosen before is not checked again.
-        """
-        if (
-            self.cloud is None
-            or self.T_view_object is None
-            or self.config is None
-            or (self.kept and row == len(self.scores) - 1)
-        ):
-            return True
-        hand = (self.T_view_object @ T_object_hand)[:3, 3]
-        pose = self.T_view_object @ self.T_object_palm[row]
-        return approach_free(self.cloud, pose, self.preshapes[row], hand, self.support, self.config)
-
-
-class GraspSource(Protocol):
-    """Gives candidates for a frame, and scores a palm pose (GraspEval of the paper)."""
+    c_e: float
 
     def propose(
         self,
@@ -106,7 +56,7 @@ class KnownGrasps:
     """
 
     def __init__(self, grasps: Sequence[KnownGrasp], config: EvaluatorConfig) -> None:
-        self._config = config
+        self._config, self.c_e = config, PAPER_C_E
         self._quality = np.array([g.quality for g in grasps])
         poses, preshapes = (
             np.array([g.T_object_palm for g in grasps]),
@@ -150,6 +100,7 @@ class FFHNetGrasps:
     def __init__(self, networks: Networks, config: GraspsConfig, seed: int, index: int) -> None:
         self._networks, self._config, self._seed, self._index = networks, config, seed, index
         self._last: Proposals | None = None
+        self.c_e = networks.c_e
 
     def propose(
         self,
@@ -163,25 +114,16 @@ class FFHNetGrasps:
             return (
                 self._last
             )  # the model and its grasps as they were, moved along with the prediction
-        R_cloud_base = self._networks.R_cloud_base(T_base_camera)  # its origin stays the base's
-        z = self._config.support_z
-        support = None if z is None else (R_cloud_base[:, 2], z)
-        cloud = encode_cloud(perceived.cloud @ R_cloud_base.T, self._networks, support)
-        T_view_object = np.eye(4)
-        T_view_object[:3] = R_cloud_base @ T_base_object[:3]
-        again = None if kept is None else (T_view_object @ kept[0], kept[1])
-        index = self._index * 100_000 + frame
-        drawn = propose(cloud, self._networks, self._config.candidates, self._seed, index, again)
-        poses = invert(T_view_object) @ drawn.T_cloud_palm
-        self._last = Proposals(
-            poses,
-            drawn.joints,
-            drawn.scores,
-            cloud,
-            T_view_object,
+        points = transform(invert(T_base_object), perceived.cloud)
+        self._last = drawn_proposals(
+            points,
+            T_base_object,
+            T_base_camera,
+            self._networks,
             self._config,
-            support,
-            drawn.kept,
+            self._seed,
+            self._index * 100_000 + frame,
+            kept,
         )
         return self._last
 
@@ -193,9 +135,9 @@ class FFHNetGrasps:
         T_base_palm: Array,
         T_base_grasp: Array,
     ) -> float:
-        assert proposals.cloud is not None
-        assert proposals.T_view_object is not None
-        T = proposals.T_view_object @ invert(T_base_object) @ T_base_palm
+        T_object_palm = invert(T_base_object) @ T_base_palm
         return float(
-            evaluate(proposals.cloud, self._networks, T[None], proposals.preshapes[chosen][None])[0]
+            proposals.hand_scores(
+                T_object_palm[None], proposals.preshapes[chosen][None], self._networks
+            )[0]
         )

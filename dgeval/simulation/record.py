@@ -22,6 +22,7 @@ from dgeval.recording.contract import (
     EVENTS_TOPIC,
     EXECUTE_TOPIC,
     GRASP_JOINTS_TOPIC,
+    GRASP_SCORE_TOPIC,
     GRASP_TOPIC,
     LIFT_EVENT,
     MASK_TOPIC,
@@ -58,7 +59,7 @@ from dgeval.robots.urdf import CAMERA_FRAME, robot_urdf
 from dgeval.simulation.render import Renderer
 from dgeval.simulation.scenario import Scenario
 from dgeval.simulation.seeing import Images, encode
-from dgeval.simulation.trial import FrameBelief, Run
+from dgeval.simulation.trial import FrameBelief, Run, Tick
 from dgeval.simulation.truth import Truth
 from dgeval.simulation.world import World, matrix_of
 from dgeval.worlds.closing import CLOSE_S, CONTROL_S, SETTLE_S
@@ -189,8 +190,6 @@ def write_recording(
             if belief.velocity is not None:
                 twist = np.concatenate([belief.velocity, np.zeros(3)])
                 put(VELOCITY_TOPIC, t_ns, twist_stamped(t_ns, BASE, twist))
-            for topic, value in _choice(run, k, t_ns, world.gripper.drives):
-                put(topic, t_ns, value)
         end = _at(len(run.ticks))
         put(TRUTH_VERDICT_TOPIC, end, text(json.dumps(verdict, sort_keys=True)))
         put(EVENTS_TOPIC, end, text(json.dumps({EVENT_KEY: TRIAL_END_EVENT})))
@@ -233,7 +232,6 @@ def verdict_document(
         **({} if scenario.hand is None else {"hand": scenario.gripper.name}),
         "seed": plan.seed,
         "index": plan.index,
-        "gains": scenario.pipeline.servo.gains,
         **(
             {"grasps": "vfas" if scenario.vfas else scenario.grasps}
             if scenario.vfas or scenario.grasps != "analytic"
@@ -248,11 +246,7 @@ def _at(tick: int) -> int:
 
 def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
     perception = MODELLED if scenario.perception == "modelled" else RENDERED
-    notes = [
-        perception,
-        GRASPS[scenario.grasps],
-        f"simulated: servo gains {scenario.pipeline.servo.gains}",
-    ]
+    notes = [perception, GRASPS[scenario.grasps]]
     notes += [f"simulated: {what}" for what in scenario.pipeline.beyond_the_paper()]
     start = {EVENT_KEY: TRIAL_START_EVENT, NOTES_KEY: VFAS if scenario.vfas else notes}
     out = {0: [(EVENTS_TOPIC, text(json.dumps(start)))]}
@@ -282,6 +276,7 @@ def _states(run: Run, twin: Array, world: World) -> Iterator[tuple[int, list[tup
         out = [("/joint_states", joint_state(t_ns, names, position, velocity, effort))]
         if run.close is None or k <= run.close:
             out.append((COMMAND_TOPIC, twist_stamped(t_ns, BASE, tick.twist)))
+            out += _choice(tick, t_ns, world.gripper.drives)
         out.append((TRUTH_OBJECT_TOPIC, pose_stamped(t_ns, BASE, world.T_base_object())))
         if k % 10 == 0:
             out.append((TRUTH_UNDISTURBED_TOPIC, pose_stamped(t_ns, BASE, matrix_of(twin[k, :7]))))
@@ -297,13 +292,14 @@ def _states(run: Run, twin: Array, world: World) -> Iterator[tuple[int, list[tup
         yield k, out
 
 
-def _choice(run: Run, k: int, t_ns: int, drives: tuple[str, ...]) -> list[tuple[str, Any]]:
-    """The grasp chosen, its score and the decision, as of a frame."""
-    tick = run.ticks[k]
+def _choice(tick: Tick, t_ns: int, drives: tuple[str, ...]) -> list[tuple[str, Any]]:
+    """The grasp chosen, its score, that of the hand, and the decision, of a control period."""
     out: list[tuple[str, Any]] = []
     if tick.T_base_grasp is not None and tick.preshape is not None:
         out.append((GRASP_TOPIC, pose_stamped(t_ns, BASE, tick.T_base_grasp)))
         out.append((GRASP_JOINTS_TOPIC, joint_state(t_ns, drives, tick.preshape)))
+    if tick.grasp_score is not None:
+        out.append((GRASP_SCORE_TOPIC, message("std_msgs/Float64", data=tick.grasp_score)))
     if tick.score is not None:
         out.append((SCORE_TOPIC, message("std_msgs/Float64", data=tick.score)))
     out.append((EXECUTE_TOPIC, message("std_msgs/Bool", data=tick.execute)))

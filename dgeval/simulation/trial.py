@@ -6,43 +6,31 @@ the newest usable frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dgeval.config import SelectionConfig
 from dgeval.determinism import generator
 from dgeval.failure_rule import NEAR_M
-from dgeval.geometry import Array, increment, invert
+from dgeval.geometry import Array, increment
 from dgeval.perception.estimation import VelocityFilter
+from dgeval.planning.carried import Belief
 from dgeval.planning.execution import execute
-from dgeval.planning.grasps import Feasible
+from dgeval.planning.proposals import Chooser, Proposals
+from dgeval.planning.reachability import Arm, arm_of
 from dgeval.planning.schedule import Delayed
-from dgeval.planning.selection import by_metric, grasp_metric
 from dgeval.planning.servo import Servo
+from dgeval.robots.loading import load_description
+from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.perception import Perceiver
-from dgeval.simulation.proposals import GraspSource, Proposals
+from dgeval.simulation.proposals import GraspSource
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.world import FINISH_S, Finish, Snapshot, World, home
 from dgeval.worlds.closing import CONTROL_S, TRUTH_STEP
 from dgeval.worlds.hand_and_object import CloseAndLift
 
 MAX_TWIST = np.array([0.7, 0.7, 0.7, 2.0, 2.0, 2.0])  # m/s, rad/s, of the palm; ours
-REACHED = 1e-3  # m + 0.1 m per rad, most error of inverse kinematics for a pose in reach; ours
 REACH = 0.62  # m along the belt; beyond it the arm gives up; ours
-
-
-@dataclass(frozen=True, slots=True)
-class Usable:
-    """A frame's result as the controller gets it.
-
-    t: image time, s. T_base_object: believed. velocity (3,) m/s. proposals: candidates.
-    """
-
-    t: float
-    T_base_object: Array
-    velocity: Array
-    proposals: Proposals | None
 
 
 @dataclass(frozen=True)
@@ -51,7 +39,8 @@ class Tick:
 
     preshape (15,) rad: of the chosen grasp. velocity (3,) m/s: of the object. twist (6,) m/s,
     rad/s: of the palm. contact, foreign: the hand touches the object, or anything else. distance:
-    hand to object, m, up to NEAR_M, in every third period of the approach.
+    hand to object, m, up to NEAR_M, in every third period of the approach. score: of the hand where
+    it is; grasp_score: of the chosen grasp; None without one.
     """
 
     snapshot: Snapshot
@@ -65,6 +54,7 @@ class Tick:
     contact: bool
     foreign: bool
     distance: float | None
+    grasp_score: float | None = None
 
 
 @dataclass(frozen=True)
@@ -112,11 +102,15 @@ def run_trial(
     world.start(home(world, plan.home_y), hand.open, plan.x, plan.y, plan.yaw, plan.speed)
     velocity_filter = VelocityFilter(config.estimation)
     servo = Servo(config.servo, hand)
-    arriving: Delayed[Usable] = Delayed(config.schedule.perception_latency_s + faults.latency)
+    arriving: Delayed[tuple[Belief, Proposals | None]] = Delayed(
+        config.schedule.perception_latency_s + faults.latency
+    )
     frames = set(frame_ticks(scenario.camera.rate, scenario.max_seconds + FINISH_S + 1))
-    usable: Usable | None = None
+    believed: Belief | None = None
     due: int | None = None
-    chooser = _Chooser(world)
+    fault_ns = round(faults.latency * 1e9)
+    arm = _arm(world)
+    chooser = Chooser(config.selection, lambda pose: arm.solve(pose, world.q_set) is not None)
     kept: tuple[Array, Array] | None = None
     fingers = hand.open.copy()
     closing: CloseAndLift | None = None
@@ -136,24 +130,18 @@ def run_trial(
                 velocity = (
                     None if estimate is None else estimate.velocity + np.array(faults.velocity_bias)
                 )
-                T = T_perceived
-                if (
-                    T is None
-                    and run.frames
-                    and run.frames[-1].T_base_object is not None
-                    and velocity is not None
-                ):
-                    T = run.frames[-1].T_base_object.copy()
-                    T[:3, 3] += velocity * (tick - run.frames[-1].tick) * CONTROL_S
-                run.frames.append(FrameBelief(n_frame, tick, T_perceived is not None, T, velocity))
+                seen, T = T_perceived is not None, T_perceived
+                if T is None and believed is not None and velocity is not None:
+                    T = replace(believed, velocity=velocity).at(t_ns)
+                run.frames.append(FrameBelief(n_frame, tick, seen, T, velocity))
                 if T is not None and velocity is not None:
+                    believed = Belief(t_ns, T, velocity, seen)
                     proposals = grasps.propose(
                         n_frame, perceived, T, world.T_base_hand() @ hand.T_hand_camera, kept
                     )
-                    arriving.step(t_ns, Usable(tick * CONTROL_S, T, velocity, proposals))
+                    arriving.step(t_ns, (believed, proposals))
             n_frame += 1
         newest = arriving.at(t_ns)
-        usable = newest[1] if newest else None
         snapshot = world.save()
         touch = world.touch()
         if closing is not None:
@@ -180,19 +168,18 @@ def run_trial(
             continue
         palm = world.T_base_palm()
         twist, score, fire, T_object, T_grasp, preshape = np.zeros(6), None, False, None, None, None
-        velocity_now = np.zeros(3)
-        if usable is not None:
-            T_object = usable.T_base_object.copy()
+        velocity_now, grasp_score = np.zeros(3), None
+        if newest is not None:
+            usable, proposals = newest[1]
             velocity_now = usable.velocity
             # the controller makes up for its stated latency; it doesn't know of a fault
-            T_object[:3, 3] += velocity_now * (tick * CONTROL_S - usable.t - faults.latency)
-            proposals = usable.proposals
-            chosen = (
-                None
-                if proposals is None
-                else chooser.best(proposals, T_object, palm, config.selection)
+            T_object = usable.at(t_ns - fault_ns)
+            best = (
+                None if proposals is None else chooser.best(proposals, T_object, palm, usable.seen)
             )
-            if proposals is not None and chosen is not None:
+            if proposals is not None and best is not None:
+                chosen = best[0]
+                grasp_score = float(proposals.scores[chosen])
                 T_grasp = (
                     T_object
                     @ proposals.T_object_palm[chosen]
@@ -216,7 +203,7 @@ def run_trial(
                     + faults.evaluator_bias
                 )
                 score = float(np.clip(score, 0.0, 1.0))
-                fire = bool(execute(score, config.execution, nearer, T_grasp))
+                fire = bool(execute(score, grasps.c_e, config.execution, nearer, T_grasp))
                 run.preshape = preshape = proposals.preshapes[chosen]
                 kept = proposals.T_object_palm[chosen], preshape
         distance = world.hand_distance(NEAR_M) if tick % TRUTH_STEP == 0 else None
@@ -233,6 +220,7 @@ def run_trial(
                 touch.object,
                 touch.other,
                 distance,
+                grasp_score,
             )
         )
         if fire and due is None:
@@ -262,40 +250,17 @@ def limited(twist: Array) -> Array:
     return np.asarray(twist * min(1.0, float((MAX_TWIST / (np.abs(twist) + 1e-12)).min())))
 
 
+def _arm(world: World) -> Arm:
+    """The arm as its description has it, with which replay asks for its reach."""
+    hand = world.gripper
+    description = load_description(robot_urdf(hand.T_hand_camera, hand), "the arm", (), 0.01)
+    arm = arm_of(description, "base_link", hand.palm_frame or "palm_link")
+    assert arm is not None
+    return arm
+
+
 def _ahead(palm: Array, T_grasp: Array, share: float) -> Array:
     """The palm pose after the servo has run for `share` more time constants."""
     T = palm.copy()
     T[:3, 3] = T_grasp[:3, 3] + (palm[:3, 3] - T_grasp[:3, 3]) * np.exp(-share)
     return T
-
-
-class _Chooser:
-    """The best candidate by the dynamic metric that is free and in reach.
-
-    A candidate of a set that is not free or not in reach is left out for good.
-    """
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._proposals: Proposals | None = None
-
-    def best(
-        self, proposals: Proposals, T_base_object: Array, palm: Array, config: SelectionConfig
-    ) -> int | None:
-        poses = T_base_object @ proposals.T_object_palm
-        if proposals is not self._proposals:
-            self._proposals, self._feasible = proposals, Feasible(proposals.free, self._reaches)
-        self._poses, self._T_object_hand = poses, invert(T_base_object) @ palm
-        metric = grasp_metric(poses, proposals.scores, palm, config)
-        return self._feasible.first(
-            by_metric(metric, config.keep_margin if proposals.kept else 0.0)
-        )
-
-    def _reaches(self, row: int) -> bool:
-        assert self._proposals is not None
-        if not self._proposals.approach_free(row, self._T_object_hand):
-            return False
-        _, residual = self._world.kinematics.solve(
-            self._poses[row], self._world.q_set, 100, tolerance=REACHED
-        )
-        return residual < REACHED

@@ -20,7 +20,7 @@ from dgeval.simulation.jaw_grasps import search
 from dgeval.simulation.render import Renderer
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.seeing import Images, camera_frame
-from dgeval.simulation.trial import REACHED, FrameBelief, Run, Tick, frame_ticks, limited
+from dgeval.simulation.trial import FrameBelief, Run, Tick, frame_ticks, limited
 from dgeval.simulation.vfas_plan import waiting_pose
 from dgeval.simulation.world import FINISH_S, Finish, World
 from dgeval.worlds.closing import CONTROL_S, TRUTH_STEP
@@ -29,6 +29,7 @@ from dgeval.worlds.objects import at
 
 # The last advance ends this near to the grasp, m + 0.1 m per rad, or after this time, s; ours.
 ARRIVED_M, ADVANCE_S = 0.003, 3.0
+REACHED = 1e-3  # m + 0.1 m per rad, most error of inverse kinematics for a pose in reach; ours
 NEAR_HOME = np.array([0.0, -0.37, 0.0, 2.32, 0.0, -1.19, 0.0])  # rad, start of the search; ours
 WAYPOINTS = 6  # of the advance, checked for obstacles; ours
 
@@ -195,11 +196,12 @@ def run_vfas(
                 run.preshape,
                 still,
                 twist,
-                score,
+                None,
                 execute,
                 touch.object,
                 touch.other,
                 distance,
+                score,
             )
         )
         if advancing is not None and T_grasp is not None:

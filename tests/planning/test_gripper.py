@@ -91,6 +91,29 @@ def test_another_gripper_is_said_and_what_is_none_too() -> None:
     assert "no hand" in str(gripper_of(None))
 
 
+@pytest.mark.parametrize("hertz", [15.0, 20.0, 25.0, 30.0, 60.0])
+def test_iterations_are_at_20_hz_whatever_the_camera_is(
+    hertz: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fails where the time by which a frame was late is lost: 15 iterations/s at 30 Hz."""
+    times: list[int] = []
+
+    class Loop:
+        velocity = None
+
+        def __init__(self, *_: object) -> None: ...
+
+        def step(self, frame: Seen, _T_base_camera: Array) -> None:
+            times.append(frame.t_ns)
+
+    monkeypatch.setattr(replayed, "VfasLoop", Loop)
+    planner = replayed.VfasGrasps(Config(), np.eye(4), trained_gripper())
+    late = np.random.default_rng(0).uniform(-2e6, 2e6, round(10 * hertz))
+    for k, jitter in enumerate(late):
+        planner.step(Seen(round(k * 1e9 / hertz + jitter), np.eye(4)), np.eye(4))  # type: ignore[arg-type]
+    assert abs(len(times) - 10 * min(20.0, hertz)) <= 1
+
+
 @dataclass(frozen=True)
 class Seen:
     """What the planner reads of a frame."""

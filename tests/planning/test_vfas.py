@@ -375,6 +375,45 @@ def test_pregrasp_is_held_for_five_iterations_before_the_advance() -> None:
     assert steps[9].n == 0
 
 
+@pytest.mark.parametrize(("needs_score", "executes"), [(False, True), (True, False)])
+def test_the_hold_asks_for_no_score(needs_score: bool, executes: bool) -> None:
+    """Fails where a pre-grasp that was held is not left for want of a score, which the paper does
+    not ask for; a search that has found nothing never advances.
+    """
+    config = VfasConfig(half_width=1e-9, half_angle=0.0, hold_needs_score=needs_score)
+    cloud = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3))
+    at_pregrasp = np.eye(4)
+    at_pregrasp[2, 3] = -0.10
+    for searching in (False, True):
+        judge = JudgeByFunction(config, lambda _, T: np.full(len(T), 0.4))
+        planner = Vfas(judge, config, 0, np.eye(4), searching)
+        steps = [planner.step(k, 0.05, cloud, None, at_pregrasp) for k in range(6)]
+        assert steps[-1].execute is (executes and not searching)
+
+
+def test_a_grasp_beyond_the_first_region_is_found() -> None:
+    """Fails where the distance from the seed costs so much that the region's growth is for nothing:
+    a grasp 5.5 cm away, the only one that is good, with the seed fixed until it is found.
+    """
+
+    def quality(_: np.ndarray, T: np.ndarray) -> np.ndarray:
+        return np.where(np.linalg.norm(T[:, :3, 3] - [0.055, 0, 0], axis=1) < 0.01, 0.95, 0.05)
+
+    cloud = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3))
+    found = {}
+    for k1, k2 in ((VfasConfig().k1, VfasConfig().k2), (10.0, 1.0)):
+        config = VfasConfig(k1=k1, k2=k2)
+        planners = [
+            Vfas(JudgeByFunction(config, quality), config, n, np.eye(4), searching=True)
+            for n in range(5)
+        ]
+        for planner in planners:
+            for k in range(60):
+                planner.step(k, 0.05, cloud, None, None)
+        found[k1] = sum(planner.tracking for planner in planners)
+    assert found == {2.0: 5, 10.0: 0}
+
+
 def test_baseline_executes_the_seed_as_it_was_given() -> None:
     """Catches a baseline that samples, or that never executes."""
     config = VfasConfig(refine=False)

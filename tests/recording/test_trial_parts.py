@@ -12,9 +12,10 @@ import pytest
 from dgeval.config import load_config
 from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.recording import trials
+from dgeval.recording.choices import recorded_choices
 from dgeval.recording.contract import CLOSE_EVENT, TRIAL_START_EVENT
 from dgeval.recording.events import AFTER_NS, Events, events_within
-from dgeval.recording.frame_reader import LostFrames, recorded_grasps
+from dgeval.recording.frame_reader import LostFrames
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.messages import Event, StampedPose
 from dgeval.recording.pairing import Pairing, pair_images, window_of
@@ -126,11 +127,13 @@ def test_a_grasp_has_the_newest_score_by_then() -> None:
     at = [3_000_000_000, 1_000_000_000, 500]
     scan: Any = SimpleNamespace(
         poses={"/dgeval/belief/grasp": [StampedPose(t, "base", "", pose) for t in at]},
-        scores=[(1_000_900_000, 0.2), (1_002_000_000, 0.9)],
+        numbers={"/dgeval/belief/score": [(1_000_900_000, 0.2), (1_002_000_000, 0.9)]},
     )
-    grasps = recorded_grasps(scan)
-    assert [t for t, _ in grasps] == sorted(at)
-    assert [g.score for _, g in grasps] == [None, 0.2, 0.9]
+    choices = recorded_choices(scan)
+    assert choices.times == tuple(sorted(at))
+    assert [choices.hand_scores.at(t) for t in sorted(at)] == [None, 0.2, 0.9]
+    assert [choices.scores.at(t) for t in sorted(at)] == [None] * 3
+    assert choices.grasp_at(499) is None
 
 
 def test_a_known_hash_is_not_computed_again(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:

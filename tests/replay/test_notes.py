@@ -109,4 +109,8 @@ def test_ffhnet_is_named_with_its_weights() -> None:
     config = load_config("dynamic", ("grasps.source=ffhnet",))
     notes = trial_notes(trial_of(), config, FrameCounts())
     assert notes[1:-1] == config.beyond_the_paper()
-    assert notes[-1] == "grasps by FFHNet with dgeval's own weights"
+    own = "grasps by FFHNet with dgeval's own weights, closing above a score of"
+    assert notes[-1] == f"{own} 0.4, the threshold of these weights"
+    mixed = load_config("dynamic", ("grasps.source=ffhnet", "execution.c_e=0.7"))
+    notes = trial_notes(trial_of(), mixed, FrameCounts())
+    assert notes[-1] == f"{own} 0.7, though these weights' own is 0.4"

@@ -6,6 +6,7 @@ number of processes or chance, runs that can't be resumed, and text on standard 
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 import subprocess
@@ -15,6 +16,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from dgeval import api
+from dgeval.config import load_config
 from dgeval.geometry import matrix_from_pose, transform
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.manifest import find_trials
@@ -99,6 +102,41 @@ def test_frames_without_depth_have_a_box_and_no_pose_of_their_own(frames: pd.Dat
     assert after[["model_px", "feature_px", "velocity_x"]].isna().to_numpy().all()
     within = blind[blind["t_ns"] < start + 800_000_000]
     assert within["model_px"].notna().all()
+
+
+@pytest.mark.parametrize(("policy", "speed"), [("zero", 0.0), ("constant_velocity", 0.08)])
+def test_a_lost_target_goes_on_or_stands_still(demo: Path, policy: str, speed: float) -> None:
+    """Fails where the first frames without it move a target that is held out, 0.08 m/s before."""
+    trial = api.open_trial(demo, load_config("dynamic", (f"estimation.loss_policy={policy}",)))
+    last, lost = None, []
+    for step in api.replay_trial(trial):
+        if step.T_camera_model is None:
+            break
+        T_base_model = step.T_base_camera @ step.T_camera_model
+        if step.accepted:
+            last, lost = (step.frame.t_ns, T_base_model[:3, 3]), []
+        else:
+            lost.append((step.frame.t_ns, T_base_model[:3, 3]))
+    assert len(lost) == 15, "15 Hz, and after 1 s nothing is known"
+    assert last is not None
+    for t_ns, place in lost:
+        apart = np.linalg.norm(place - last[1])
+        assert apart == pytest.approx(speed * (t_ns - last[0]) * 1e-9, abs=0.006)
+        assert speed > 0 or apart < 1e-9
+
+
+def test_control_runs_at_the_rate_of_the_states(demo: Path) -> None:
+    """Fails where control runs at frames alone, or a state is left out or taken twice."""
+    trial = api.open_trial(demo)
+    steps = list(itertools.islice(api.replay_trial(trial), 12))
+    times = [step.frame.t_ns for step in steps]
+    stamps = [t for t in trial.robot.palm_stamps(0.008) if times[0] <= t < times[-1]]
+    assert [c.t_ns for step in steps for c in step.periods] == stamps
+    assert len(stamps) > 3 * len(steps)
+    for before, step in itertools.pairwise(steps):
+        assert all(before.frame.t_ns <= c.t_ns < step.frame.t_ns for c in step.periods)
+        assert step.control is not None
+        assert step.control.t_ns == step.frame.t_ns
 
 
 def test_servo_and_execution_follow_the_recorded_grasp(frames: pd.DataFrame) -> None:

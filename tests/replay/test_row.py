@@ -15,13 +15,13 @@ from dgeval.geometry import Intrinsics
 from dgeval.perception.estimation import Estimate
 from dgeval.perception.pipeline import Perceived
 from dgeval.perception.types import Features, Fused, Model, Observation, Registration, Tracked
-from dgeval.planning.recorded_grasps import Choice, GraspResult
+from dgeval.planning.control import Choice, Control, GraspResult
 from dgeval.planning.servo import ServoCommand
 from dgeval.planning.vfas.replayed import VfasResult
 from dgeval.planning.vfas.selection import Selected
 from dgeval.recording.frame import Frame
 from dgeval.recording.manifest import TrialSpec
-from dgeval.replay.causal import Control, Step
+from dgeval.replay.causal import Step
 from dgeval.replay.notes import FrameCounts
 from dgeval.replay.row import pose_columns, row_of
 from dgeval.runs.trial_job import trial_row
@@ -51,12 +51,11 @@ def frame_of(T_base_palm: np.ndarray | None) -> Frame:
 
 def step_of(
     perceived: Perceived,
-    grasps: GraspResult | None = None,
     control: Control | None = None,
     vfas: VfasResult | None = None,
     T_base_palm: np.ndarray | None = None,
 ) -> Step:
-    return Step(frame_of(T_base_palm), np.eye(4), {}, perceived, grasps, control, vfas)
+    return Step(frame_of(T_base_palm), np.eye(4), {}, perceived, control, (), vfas)
 
 
 PALM = pose(0.1, 0.2, 0.3, np.pi)
@@ -78,8 +77,7 @@ PERCEIVED = Perceived(
 COMMAND = ServoCommand(0.05, 0.4, np.array([1, 2, 3, 4, 5, 6.0]))
 DYNAMIC = step_of(
     PERCEIVED,
-    GraspResult(12, Choice(pose(0.5, 0.6, 0.7), 0.91, 0.92, 0.93)),
-    Control(True, COMMAND),
+    Control(1000, GraspResult(12, Choice(pose(0.5, 0.6, 0.7), 0.91, 0.92, 0.93)), True, COMMAND),
     T_base_palm=PALM,
 )
 SELECTED = Selected(pose(0.8, 0.9, 1), np.eye(4), 1.5, 0.7, 0.05, 2.0, 30, True, False)
@@ -165,7 +163,7 @@ def test_an_open_loop_advance_has_no_score() -> None:
 
 def test_candidates_are_counted_where_none_of_them_was_chosen() -> None:
     """Catches a frame whose candidates were all refused told as one without candidates."""
-    row = filled(row_of(step_of(PERCEIVED, GraspResult(12, None))))
+    row = filled(row_of(step_of(PERCEIVED, Control(1000, GraspResult(12, None), None, None))))
     assert row["n_grasps"] == 12
     assert not [name for name in row if name.startswith("grasp_")]
 

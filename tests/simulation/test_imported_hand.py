@@ -38,8 +38,6 @@ trials = 1
 width = 160
 height = 120
 rate = 15.0
-[pipeline.servo]
-gains = "fast"
 """
 
 

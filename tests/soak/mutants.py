@@ -1420,8 +1420,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/perception/trackers/recorded.py",
-        "        if self._name:\n",
-        "        if False:\n",
+        "if self._name and thing.name == self._name]",
+        "if False]",
         "tests/perception/test_recorded_tracker.py",
     ),
     Mutant(
@@ -1477,6 +1477,84 @@ MUTANTS = [
         "< AS_MANY * seen:",
         "< 0 * seen:",
         "tests/perception/test_stages.py",
+    ),
+    Mutant(
+        "dgeval/planning/carried.py",
+        "self.velocity * ((t_ns - self.t_ns) * 1e-9)",
+        "0 * self.velocity",
+        "tests/planning/test_control.py",
+    ),
+    Mutant(
+        "dgeval/planning/proposals.py",
+        "if seen or self._chosen is None:",
+        "if True:",
+        "tests/planning/test_control.py",
+    ),
+    Mutant(
+        "dgeval/planning/control.py",
+        "return self._at(states, is_period=True)",
+        "return self._at(states[:1], is_period=True)",
+        "tests/planning/test_control.py",
+    ),
+    Mutant(
+        "dgeval/planning/model_grasps.py",
+        "T_object_hand = invert(T_base_object) @ palm",
+        "T_object_hand = palm",
+        "tests/planning/test_control.py",
+    ),
+    Mutant(
+        "dgeval/planning/recorded_grasps.py",
+        "score = self._recorded.scores.at(t_ns)",
+        "score = self._recorded.hand_scores.at(t_ns)",
+        "tests/planning/test_control.py",
+    ),
+    Mutant(
+        "dgeval/perception/pipeline.py",
+        "predicted = self.predict(frame, T_base_camera, moves=False)",
+        "pass",
+        "tests/replay/test_replay.py::test_a_lost_target_goes_on_or_stands_still",
+    ),
+    Mutant(
+        "dgeval/planning/servo.py",
+        "if is_period and (self._last is None",
+        "if (self._last is None",
+        "tests/perception/test_stages.py",
+    ),
+    Mutant(
+        "dgeval/planning/vfas/replayed.py",
+        "self._due_ns += period_ns * max",
+        "self._due_ns = t_ns + period_ns * max",
+        "tests/planning/test_gripper.py",
+    ),
+    Mutant(
+        "dgeval/planning/vfas/selection.py",
+        "else self.tracking\n",
+        "else True\n",
+        "tests/planning/test_vfas.py",
+    ),
+    Mutant(
+        "dgeval/planning/reachability.py",
+        "(np.asarray(q, dtype=np.float64), *self._starts)",
+        "(np.asarray(q, dtype=np.float64),)",
+        "tests/networks/test_networks.py::test_arm_of_the_description_is_the_arm",
+    ),
+    Mutant(
+        "dgeval/perception/trackers/model.py",
+        "or float((depth == 0).mean()) < NO_DEPTH",
+        "",
+        "tests/perception/test_tracking.py",
+    ),
+    Mutant(
+        "dgeval/config.py",
+        "for key, value in values.items() if key not in given}",
+        "for key, value in values.items()}",
+        "tests/test_config.py",
+    ),
+    Mutant(
+        "dgeval/replay/causal.py",
+        "bisect_left(stamps, last_ns), bisect_left(stamps, frame.t_ns)",
+        "0, 0",
+        "tests/replay/test_replay.py::test_control_runs_at_the_rate_of_the_states",
     ),
 ]
 

@@ -246,9 +246,7 @@ def frames_of(made: InMemory) -> dict[int, str]:
         scanned, colour, depth, roles, robot.tree, window.pairs[0].t_ns, config.calibration
     )
     codec = scanned.images[colour].codec
-    reader = FrameReader(
-        opened, colour, depth, window.pairs, camera, robot, (), LostFrames([]), codec
-    )
+    reader = FrameReader(opened, colour, depth, window.pairs, camera, robot, LostFrames([]), codec)
     out = {}
     for frame in reader.frames():
         digest = hashlib.sha256(frame.colour.tobytes() + frame.depth.tobytes())

@@ -342,7 +342,7 @@ def trial_of(
             "",
             None if close is None else ns(close),
         ),
-        reader=FrameReader(opened, COLOUR, DEPTH, pairs, camera, robot, (), LostFrames([])),
+        reader=FrameReader(opened, COLOUR, DEPTH, pairs, camera, robot, LostFrames([])),
         checks=(),
         notes=(),
     )

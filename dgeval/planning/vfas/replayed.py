@@ -15,7 +15,7 @@ from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
 from dgeval.planning.vfas.selection import Selected
 from dgeval.recording.frame import Frame
 
-EARLY = 0.8  # share of a period after which a frame begins the next iteration
+EARLY = 0.2  # share of a period by which a frame may be early for an iteration that is due; ours
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class VfasGrasps:
         seed = None if T_base_seed is None else T_base_seed @ self._T_palm_grasp
         self._loop = VfasLoop(config, seed, gripper)
         self._coming: Delayed[Selected] = Delayed(config.schedule.grasps_latency_s)
-        self._next_ns = 0
+        self._due_ns: int | None = None
 
     def step(self, frame: Frame, T_base_camera: Array | None) -> VfasResult | None:
         """The newest usable iteration at a frame; None before there is one.
@@ -56,8 +56,7 @@ class VfasGrasps:
         T_base_camera (4, 4): None where it is not known, then the frame begins no iteration.
         """
         config, hand = self._config.vfas, frame.T_base_palm
-        if T_base_camera is not None and frame.t_ns >= self._next_ns:
-            self._next_ns = frame.t_ns + round(EARLY * config.period_s * 1e9)
+        if T_base_camera is not None and self._is_due(frame.t_ns):
             grasp = None if hand is None else hand @ self._T_palm_grasp
             selected = self._loop.step(replace(frame, T_base_palm=grasp), T_base_camera)
             if selected is not None:
@@ -74,6 +73,19 @@ class VfasGrasps:
                 proportional_twist(hand, goal, config.gain),
             )
         return VfasResult(at[1], self._loop.velocity, command)
+
+    def _is_due(self, t_ns: int) -> bool:
+        """Whether a frame begins an iteration: one per period in the mean at any camera's rate.
+
+        What a frame comes late is not lost: the next iteration is due as if it had not been.
+        """
+        period_ns = round(self._config.vfas.period_s * 1e9)
+        if self._due_ns is None:
+            self._due_ns = t_ns
+        if t_ns < self._due_ns - EARLY * period_ns:
+            return False
+        self._due_ns += period_ns * max(1, (t_ns - self._due_ns) // period_ns + 1)
+        return True
 
     def _of_palm(self, selected: Selected) -> Selected:
         """The same with poses of the palm's frame."""

@@ -271,21 +271,22 @@ class Vfas:
         """T_base_goal (4, 4): the pre-grasp pose; from when it has been held on, the grasp."""
         goal = self.T_base_seed.copy()
         goal[:3, 3] -= self._config.pregrasp * goal[:3, 2]
-        if not self._hold(goal, T_base_hand, good):
+        asked = good if self._config.hold_needs_score else self.tracking
+        if not self._hold(goal, T_base_hand, asked):
             return goal
         self._final = self.T_base_seed
         return self._final
 
-    def _hold(self, T_base_pregrasp: Array, T_base_hand: Array | None, good: bool) -> bool:
-        """Whether the hand was at the pre-grasp pose of a good grasp for hold_iterations in a row.
+    def _hold(self, T_base_pregrasp: Array, T_base_hand: Array | None, asked: bool) -> bool:
+        """Whether the hand was at the pre-grasp pose for hold_iterations in a row.
 
         Within hold_distance m and hold_angle degrees (docs/papers.md, "Tolerance of the
-        pre-grasp").
+        pre-grasp"). asked: an iteration counts otherwise; False starts again.
         """
         c = self._config
         within = (
             T_base_hand is not None
-            and good
+            and asked
             and float(np.linalg.norm(T_base_hand[:3, 3] - T_base_pregrasp[:3, 3])) < c.hold_distance
             and rotation_angle(T_base_hand[:3, :3].T @ T_base_pregrasp[:3, :3])
             < np.radians(c.hold_angle)
