@@ -180,6 +180,16 @@ STAGES: tuple[str, ...] = (
     "execution",
 )
 
+# stages that are held against the robot's own values, and what is compared
+FIDELITY: dict[str, str] = {
+    "target": "pose of the target",
+    "velocity": "velocity of the target",
+    "mask": "mask of the target",
+    "grasp": "chosen grasp",
+    "score": "score of the hand",
+    "twist": "commanded twist",
+    "decision": "time of the decision to close",
+}
 TRIALS: tuple[Column, ...] = (
     Column("trial", "str", "", "id, unique in the run", "trial"),
     Column("recording", "str", "", "file name of the recording", "trial"),
@@ -221,6 +231,10 @@ TRIALS: tuple[Column, ...] = (
     Column("blame", "str", "", "the term whose removal alone restores tolerance", "trial"),
     Column("p_blame", "float", "", "probability", "trial"),
     Column("belief_source", "str", "", "recorded, replayed_faithful, replayed", "trial"),
+    *(Column(f"fidelity_{stage}", "str", "",
+             f"the replay's {what} beside the robot's own in the last second: faithful, not "
+             "faithful, not known; null where the robot recorded none", "trial")
+      for stage, what in FIDELITY.items()),
     Column("gap_s", "float", "s", "blind gap before the close", "trial"),
     Column("gap_sided", "str", "", "none, one, two", "trial"),
     # left to: The papers' time and parts: replay what the robot did, when it did it

@@ -24,7 +24,7 @@ from dgeval.perception.types import Model, Tracked
 from dgeval.planning.carried import Belief
 from dgeval.planning.control import Control, Controller, Grasps, HandState
 from dgeval.planning.recorded_grasps import RecordedGrasps
-from dgeval.recording.choices import recorded_choices
+from dgeval.recording.choices import Numbers, RecordedChoices, recorded_choices
 from dgeval.recording.contract import CLOSE_EVENT, EXECUTE_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
 from dgeval.recording.messages import StampedPose
@@ -189,15 +189,24 @@ def _controller(trial: Trial, config: Config) -> Controller:
         from dgeval.planning.model_grasps import ModelGrasps
 
         grasps = ModelGrasps(trial.robot, config)
-    decisions, decides = recorded.decisions, config.execution.decision
-    if decides == "recorded" and not decisions.times:
+    if config.execution.decision == "recorded" and not recorded.decisions.times:
         raise UsageError(
             f"execution.decision = 'recorded', but {EXECUTE_TOPIC} is not recorded",
             Place(str(trial.spec.recording)),
         )
-    auto = decides == "auto" and source == "recorded" and config.execution.c_e is None
-    known = decisions if decides == "recorded" or (auto and decisions.times) else None
-    return Controller(grasps, trial.robot.hand or hand_named(DEFAULT_HAND), config, known)
+    hand, decisions = trial.robot.hand, recorded_decisions(recorded, source, config)
+    return Controller(grasps, hand or hand_named(DEFAULT_HAND), config, decisions)
+
+
+def recorded_decisions(recorded: RecordedChoices, source: str, config: Config) -> Numbers | None:
+    """The robot's own decisions where they count in place of the score; None where they don't.
+
+    source: of the grasps, as `grasp_source` says.
+    """
+    if config.execution.decision == "auto":
+        taken = source == "recorded" and config.execution.c_e is None
+        return recorded.decisions if taken and recorded.decisions.times else None
+    return recorded.decisions if config.execution.decision == "recorded" else None
 
 
 def _states(robot: RobotStates, stamps: list[int]) -> list[HandState]:

@@ -27,6 +27,7 @@ from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
 from dgeval.replay.causal import Step, replay
+from dgeval.replay.fidelity import Compared, Fidelity, fidelity_notes
 from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
 from dgeval.replay.row import pose_columns
 from dgeval.replay.target_search import FoundTarget, search_target
@@ -156,7 +157,7 @@ def _replay_trial(
     close_ns = trial.event_ns(CLOSE_EVENT)
     target = search_target(trial, config) if spec.bbox is None else None
     seen: FirstSeen | None = None
-    perception = Perception(config)
+    perception, compared = Perception(config), Compared(trial, config)
     observed: list[CausalFrame] = []
     surface = Surface()
     # time ns, T_base_camera and image, for the picture of the decisive moment
@@ -180,6 +181,7 @@ def _replay_trial(
                     }
                 )
             counts = counts.with_frame(step)
+            compared.add(step)
             if seen is None and step.tracked.box is not None:
                 seen = first_seen(step, trial, target, config)
                 if spec.bbox is None:
@@ -236,6 +238,7 @@ def _replay_trial(
         seen,
         estimates,
         (perception.noise.told(),),
+        compared.until(judgement.decisive_ns or close_ns or last_ns),
     )
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
     shown = None if judgement.shown is None else shown_as_json(judgement.shown)
@@ -262,12 +265,14 @@ def trial_row(
     seen: FirstSeen | None = None,
     estimates: Estimates | None = None,
     perceived: tuple[str, ...] = (),
+    fidelity: tuple[Fidelity, ...] = (),
 ) -> tuple[dict[str, Any], int, list[str]]:
     """The trial's row without its digests, the exit code, and messages for the user.
 
     t_execute_ns: when the replay would have closed first. last_ns: time of
     the last frame. target: as it was found, where no box was given. seen: where it was first seen.
-    estimates: as given to the run. perceived: notes of the perception.
+    estimates: as given to the run. perceived: notes of the perception. fidelity: of the replay
+    to the robot.
     """
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
@@ -311,12 +316,14 @@ def trial_row(
             [
                 *trial_notes(trial, config, counts),
                 *perceived,
+                *fidelity_notes(fidelity),
                 *target_note(trial, target),
                 *map(str, of_target),
                 *_other_word(spec.cause, judgement),
                 *judgement.notes,
             ]
         ),
+        **{f"fidelity_{one.stage}": one.word for one in fidelity},
         **asdict(judgement.row),
     }
     return row, exit_code, messages

@@ -22,6 +22,7 @@ from dgeval.planning.vfas.selection import Selected
 from dgeval.recording.frame import Frame
 from dgeval.recording.manifest import TrialSpec
 from dgeval.replay.causal import Step
+from dgeval.replay.fidelity import BOUNDS, Fidelity
 from dgeval.replay.notes import FrameCounts
 from dgeval.replay.row import pose_columns, row_of
 from dgeval.runs.trial_job import trial_row
@@ -108,7 +109,8 @@ def test_every_trial_column_is_filled_or_left_to_a_named_issue() -> None:
     trial = replace(trial, spec=spec)
     given = Estimates({}, "x")
     counts, config = FrameCounts(), load_config("dynamic", ())
-    row, _, _ = trial_row(trial, config, counts, 2, 3, judgement, estimates=given)
+    seen = tuple(Fidelity(stage, 12, (0.0,) * len(BOUNDS[stage]), True) for stage in BOUNDS)
+    row, _, _ = trial_row(trial, config, counts, 2, 3, judgement, estimates=given, fidelity=seen)
     row |= {f"digest_{stage}": value for stage, value in StageDigests().hexdigests().items()}
     names = {c.name for c in TRIALS}
     assert set(filled(row)) == names - UNFILLED.keys()

@@ -1556,6 +1556,24 @@ MUTANTS = [
         "0, 0",
         "tests/replay/test_replay.py::test_control_runs_at_the_rate_of_the_states",
     ),
+    Mutant(
+        "dgeval/replay/fidelity.py",
+        "theirs @ invert(self._first[1]) @ self._first[0]",
+        "theirs",
+        "tests/replay/test_fidelity.py",
+    ),
+    Mutant(
+        "dgeval/replay/fidelity.py",
+        "    if len(last) < LEAST_VALUES:",
+        "    if not last:",
+        "tests/replay/test_fidelity.py",
+    ),
+    Mutant(
+        "dgeval/replay/fidelity.py",
+        "if not self._chooses or control.grasps is None",
+        "if control.grasps is None",
+        "tests/replay/test_fidelity.py",
+    ),
 ]
 
 

@@ -1,0 +1,223 @@
+"""Catches a replay told as faithful to a robot that believed something else, and the other way."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from dgeval import api
+from dgeval.config import load_config
+from dgeval.geometry import pose_from_matrix
+from dgeval.planning.control import Choice, Control, GraspResult
+from dgeval.planning.servo import ServoCommand
+from dgeval.recording.contract import COMMAND_TOPIC, MASK_TOPIC, TARGET_TOPIC, VELOCITY_TOPIC
+from dgeval.recording.messages import StampedPose
+from dgeval.recording.scan import TopicTimes
+from dgeval.replay import fidelity
+from dgeval.replay.causal import Step
+from dgeval.replay.fidelity import Compared, fidelity_notes
+
+CONFIG = load_config("dynamic")
+FRAMES = 30
+Recording = tuple[Any, list[Step]]
+
+
+@pytest.fixture(scope="module")
+def replayed(demo: Path) -> Recording:
+    """A trial and its first two seconds of replay, in which the target was seen."""
+    trial = api.open_trial(demo)
+    return trial, list(itertools.islice(api.replay_trial(trial), FRAMES))
+
+
+def beside(
+    replayed: Recording,
+    monkeypatch: pytest.MonkeyPatch,
+    late_ns: int = 0,
+    pose: Callable[[int, np.ndarray], np.ndarray] = lambda _, T: T,
+    velocity: float = 0.0,
+    twist: float = 1.0,
+    mask_px: int = 0,
+    every: int = 1,
+) -> dict[str, fidelity.Fidelity]:
+    """The stages of a replay beside a robot that believed the same, but for what is given.
+
+    late_ns: of the target's stamps. pose(frame, T_camera_model). velocity: m/s more. twist: factor.
+    mask_px: by which its masks are wider. every: frame of which something is recorded.
+    """
+    trial, steps = replayed
+    own = steps[::every]
+    axes = np.eye(4)  # the robot's model has axes of its own
+    axes[:3, :3], axes[:3, 3] = [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], (0.1, 0.2, 0.3)
+    poses = [
+        StampedPose(
+            s.frame.t_ns + late_ns,
+            "",
+            "",
+            pose_from_matrix(pose(s.frame.index, s.T_camera_model) @ axes),  # type: ignore[arg-type]
+        )
+        for s in own
+        if s.T_camera_model is not None
+    ]
+    more = np.array([0, 0, velocity, 0, 0, 0])
+    speeds = [
+        (s.frame.t_ns, np.append(s.perceived.estimate.velocity, np.zeros(3)) + more)
+        for s in own
+        if s.perceived.estimate is not None
+    ]
+    commands = [
+        (c.t_ns, c.command.twist * twist) for s in own for c in s.periods if c.command is not None
+    ]
+    masks = []
+    for s in own:
+        whole = np.zeros(s.frame.depth.shape, np.uint8)
+        if s.tracked.mask is not None and s.tracked.window is not None:
+            x0, y0, x1, y1 = s.tracked.window
+            whole[y0:y1, x0:x1] = s.tracked.mask
+        wider = np.ones((1, 2 * mask_px + 1), np.uint8)
+        masks.append((s.frame.t_ns, cv2.dilate(whole, wider) > 0))
+    scan = replace(
+        trial.scan,
+        poses={TARGET_TOPIC: poses},
+        twists={VELOCITY_TOPIC: speeds, COMMAND_TOPIC: commands},
+        times={MASK_TOPIC: TopicTimes()},
+        numbers={},
+    )
+    monkeypatch.setattr(
+        fidelity,
+        "_masks",
+        lambda _, since, until: fidelity._in_order([m for m in masks if since <= m[0] <= until]),
+    )
+    compared = Compared(replace(trial, scan=scan), CONFIG)
+    for step in steps:
+        compared.add(step)
+    return {one.stage: one for one in compared.until(steps[-1].frame.t_ns)}
+
+
+def test_a_robot_that_believed_the_same(
+    replayed: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fails where the axes of the robot's model, or of its grasps, count as an error."""
+    found = beside(replayed, monkeypatch)
+    assert {name: one.is_faithful for name, one in found.items()} == dict.fromkeys(
+        ("target", "velocity", "mask", "twist"), True
+    )
+    assert all(max(one.errors) < 1e-6 for one in found.values())
+    (note,) = fidelity_notes(tuple(found.values()))
+    assert note.count("(faithful)") == 4
+    assert fidelity_notes(()) == []
+
+
+def drifts(frame: int, T: np.ndarray) -> np.ndarray:
+    """A belief that slides off by 0.3 mm a frame."""
+    out = T.copy()
+    out[0, 3] += 0.0003 * frame
+    return out
+
+
+@pytest.mark.parametrize(
+    ("given", "stage"),
+    [
+        ({"pose": drifts}, "target"),
+        ({"late_ns": 66_666_667}, "target"),  # one frame, of a target that moves at 0.08 m/s
+        ({"velocity": 0.012}, "velocity"),
+        ({"twist": 1.2}, "twist"),
+        ({"mask_px": 12}, "mask"),
+    ],
+)
+def test_another_robot_is_found_at_its_stage(
+    given: dict[str, Any], stage: str, replayed: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fails where one stage's difference is told of another, or not at all."""
+    found = beside(replayed, monkeypatch, **given)
+    assert [name for name, one in found.items() if not one.is_faithful] == [stage]
+    assert found[stage].word == "not faithful"
+
+
+def test_a_few_values_say_nothing(replayed: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails where two matching values in the last second make a replay faithful."""
+    found = beside(replayed, monkeypatch, every=5)
+    for stage in ("target", "velocity", "mask"):
+        assert found[stage].is_faithful is None
+        assert found[stage].word == "not known"
+        assert "recorded values" in found[stage].told
+
+
+def test_what_is_taken_from_the_log_is_not_held_against_it(demo: Path) -> None:
+    """Fails where a recorded grasp, used by the replay, shows how faithful the replay is."""
+    trial = api.open_trial(demo)
+    compared = Compared(trial, CONFIG)
+    choice = Choice(np.eye(4), 0.9, 0.8, 0.7)
+    zero = ServoCommand(0.0, 0.0, np.zeros(6))
+    step: Any = SimpleNamespace(
+        frame=SimpleNamespace(t_ns=trial.pairs[20].t_ns),
+        T_camera_model=None,
+        model=None,
+        perceived=SimpleNamespace(estimate=None),
+        tracked=SimpleNamespace(mask=None, window=None),
+        periods=[
+            Control(trial.pairs[20].t_ns - k * 10_000_000, GraspResult(1, choice), True, zero)
+            for k in range(60, 0, -1)
+        ],
+    )
+    compared.add(step)
+    stages = {one.stage for one in compared.until(trial.pairs[20].t_ns)}
+    assert not stages & {"grasp", "score"}
+
+
+@pytest.mark.parametrize(
+    ("decided_ms", "score", "away_m", "expected"),
+    [
+        (500, 0.5, 0.0, {"grasp": True, "score": True, "decision": True}),
+        (520, 0.5, 0.0, {"grasp": True, "score": True, "decision": False}),
+        (None, 0.5, 0.0, {"grasp": True, "score": True, "decision": False}),
+        (500, 0.56, 0.0, {"grasp": True, "score": False, "decision": True}),
+        (500, 0.5, 0.006, {"grasp": False, "score": True, "decision": True}),
+    ],
+)
+def test_the_choice_of_a_replay_that_chooses_itself(
+    decided_ms: int | None,
+    score: float,
+    away_m: float,
+    expected: dict[str, bool],
+    demo: Path,
+) -> None:
+    """Fails where a decision 20 ms later, another score or another grasp is told as the same."""
+    config = load_config("dynamic", ("grasps.source=ffhnet",))
+    trial = api.open_trial(demo, config)
+    first = trial.pairs[0].t_ns
+    times = [first + k * 10_000_000 for k in range(100)]
+    numbers = {
+        "/dgeval/belief/score": [(t, 0.5) for t in times],
+        "/dgeval/belief/execute": [(t, float(t >= first + 500_000_000)) for t in times],
+    }
+    identity = np.array([0, 0, 0, 0, 0, 0, 1.0])
+    poses = {"/dgeval/belief/grasp": [StampedPose(t, "", "", identity) for t in times]}
+    scan = replace(trial.scan, numbers=numbers, poses=poses, twists={}, times={})
+    compared = Compared(replace(trial, scan=scan), config)
+    grasp = np.eye(4)
+    grasp[0, 3] = away_m
+    result = GraspResult(9, Choice(grasp, score, 0.8, 0.7))
+    periods = [
+        Control(t, result, decided_ms is not None and t >= first + decided_ms * 1_000_000, None)
+        for t in times
+    ]
+    step: Any = SimpleNamespace(
+        frame=SimpleNamespace(t_ns=times[-1]),
+        T_camera_model=None,
+        model=None,
+        perceived=SimpleNamespace(estimate=None),
+        tracked=SimpleNamespace(mask=None, window=None),
+        periods=periods,
+    )
+    compared.add(step)
+    stages = compared.until(times[-1])
+    assert {one.stage: one.is_faithful for one in stages} == expected
+    never = "decision: one of the two never closes (not faithful)"
+    assert (never in fidelity_notes(stages)[0]) is (decided_ms is None)
