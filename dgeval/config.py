@@ -191,6 +191,9 @@ class RegistrationConfig(Section):
     colour: bool = Field(
         True, description="refine with the tracker's image features (beyond the paper)"
     )
+    accept: Literal["gate", "recorded"] = Field(
+        "gate", description="what says whether a frame is merged: the gate, or the robot's own word"
+    )
     c_a_f: float = Field(0.8, gt=0, lt=1, description="least gate fitness, strict (Table V, c_a,f)")
     c_a_v: float = Field(4.0, gt=0, description="m/s (Table V, c_a,v)")
     c_a_w: float = Field(4.0, gt=0, description="rad/s (Table V, c_a,omega)")

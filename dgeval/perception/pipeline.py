@@ -205,6 +205,11 @@ def _register(
             observation, model, start, tracked.features, frame.camera, settings, noise
         )
     result = _gated(state, frame.t_ns, result, model, settings)
+    if settings.accept == "recorded" and frame.accepted is not None:
+        state.refused = []
+        if result.reject_reason == "not_finite":
+            return result
+        return replace(result, reject_reason=None if frame.accepted else "recorded")
     # the frame shows more than the model; a pose that nothing has fitted may as well be wrong
     more = result.reject_reason == "fitness" and result.fitness > NEAR_ALL
     if not more or tracked.pose_stands:

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dgeval.geometry import Array, matrix_from_pose
-from dgeval.recording.contract import EXECUTE_TOPIC, GRASP_SCORE_TOPIC, GRASP_TOPIC, SCORE_TOPIC
+from dgeval.recording.contract import (
+    ACCEPTED_TOPIC,
+    EXECUTE_TOPIC,
+    GRASP_SCORE_TOPIC,
+    GRASP_TOPIC,
+    SCORE_TOPIC,
+)
 from dgeval.recording.scan import Scan
 
 SCORE_LATE_NS = 1_000_000  # ns; a value logged this long after its grasp still belongs to it
@@ -52,6 +59,20 @@ def recorded_choices(found: Scan) -> RecordedChoices:
         tuple(matrix_from_pose(pose.pose) for pose in poses),
         *(_numbers(found, topic) for topic in (GRASP_SCORE_TOPIC, SCORE_TOPIC, EXECUTE_TOPIC)),
     )
+
+
+def accepted_flags(found: Scan, times: Sequence[int]) -> dict[int, bool]:
+    """Whether the robot merged a frame into its model, by the frame's stamp, ns.
+
+    A flag has no stamp: it is taken to be of the newest frame by the time it was logged, of
+    frames at `times`. A frame without one is left out.
+    """
+    out: dict[int, bool] = {}
+    for t_ns, value in sorted(found.numbers.get(ACCEPTED_TOPIC, [])):
+        k = bisect_right(times, t_ns + SCORE_LATE_NS)
+        if k:
+            out.setdefault(times[k - 1], bool(value))
+    return out
 
 
 def _numbers(found: Scan, topic: str) -> Numbers:

@@ -50,6 +50,9 @@ SCORE_TOPIC: Final = "/dgeval/belief/score"
 EXECUTE_TOPIC: Final = "/dgeval/belief/execute"
 """Bool: whether the robot decided to execute the grasp."""
 
+ACCEPTED_TOPIC: Final = "/dgeval/belief/accepted"
+"""Bool, after each frame: whether the robot merged it into its model."""
+
 MASK_TOPIC: Final = "/dgeval/belief/mask"
 """CompressedImage, PNG: the robot's mask of its target, only with frames in which it saw it."""
 

@@ -34,7 +34,8 @@ class Frame:
     colour: (H, W, 3) uint8 RGB. depth: (H, W) float32, m, aligned to colour, 0 = no reading. hand:
     its solids with T_camera_shape; None where the hand's geometry is not known. colour_file: the
     image's bytes as recorded where it was compressed, for the review recording. marked: what the
-    log marks in it, where the tracker asks for that.
+    log marks in it, where the tracker asks for that. accepted: whether the robot merged it into its
+    model, where that is asked for and recorded.
     """
 
     index: int
@@ -47,3 +48,4 @@ class Frame:
     hand: list[tuple[LinkShape, Array]] | None = None
     colour_file: bytes | None = None
     marked: tuple[MarkedThing, ...] = ()
+    accepted: bool | None = None

@@ -44,6 +44,7 @@ class FrameReader:
     """Reads a trial's frames from its recording, as often as it is asked to.
 
     codec: of colour as video. marked: what the log marks, by the time of its picture, ns.
+    accepted: which frames the robot merged, likewise.
     """
 
     opened: Opened
@@ -55,6 +56,7 @@ class FrameReader:
     lost: LostFrames = field(compare=False)
     codec: str | None = None
     marked: Mapping[int, tuple[MarkedThing, ...]] = field(default_factory=dict)
+    accepted: Mapping[int, bool] = field(default_factory=dict)
 
     def frames(self) -> Iterator[Frame]:
         """Frames in the order of their stamps, index from 0.
@@ -168,6 +170,7 @@ class FrameReader:
             self.robot.hand_shapes(t_ns),
             self._as_recorded(decoded),
             self.marked.get(t_ns, ()),
+            self.accepted.get(t_ns),
         )
 
     def _as_recorded(self, decoded: Any) -> bytes | None:

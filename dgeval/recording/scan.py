@@ -20,6 +20,7 @@ from dgeval.geometry import Array, invert, matrix_from_pose, pose_from_matrix
 from dgeval.recording.clocks import RecorderClock, recorder_clock
 from dgeval.recording.containers.container import Opened, RawMessage
 from dgeval.recording.contract import (
+    ACCEPTED_TOPIC,
     DEPTH_UNIT,
     EVENTS_TOPIC,
     EXECUTE_TOPIC,
@@ -59,7 +60,7 @@ from dgeval.recording.namespaces import namespace_of
 from dgeval.recording.video import EXTRA, VideoDecoder, codec_of, is_available
 
 # what a message that does not hold what its type says leads to
-NUMBERS = frozenset({GRASP_SCORE_TOPIC, SCORE_TOPIC, EXECUTE_TOPIC})
+NUMBERS = frozenset({GRASP_SCORE_TOPIC, SCORE_TOPIC, EXECUTE_TOPIC, ACCEPTED_TOPIC})
 NOT_USABLE = (
     UndecodableError,
     ValueError,

@@ -21,10 +21,11 @@ from dgeval.recording.checks import (
     part_check,
     unread_results,
 )
+from dgeval.recording.choices import accepted_flags
 from dgeval.recording.closes import CloseKnown, close_of, gripper_tracks
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
-from dgeval.recording.contract import CLOSE_EVENT, EventKind
+from dgeval.recording.contract import ACCEPTED_TOPIC, CLOSE_EVENT, EventKind
 from dgeval.recording.events import Events, events_within
 from dgeval.recording.frame import Frame, MarkedThing
 from dgeval.recording.frame_reader import FrameReader, LostFrames
@@ -181,7 +182,16 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     if config.tracking.method == RECORDED:
         things, told = _marked(scanned, roles.target, window.pairs, camera, robot, place)
         notes += told
-    reader = FrameReader(opened, colour, depth, window.pairs, camera, robot, lost, codec, things)
+    accepted: dict[int, bool] = {}
+    if config.registration.accept == "recorded":
+        accepted = accepted_flags(scanned, [pair.t_ns for pair in window.pairs])
+        if not accepted:
+            raise UsageError(
+                f"registration.accept = 'recorded', but {ACCEPTED_TOPIC} is not recorded", place
+            )
+    reader = FrameReader(
+        opened, colour, depth, window.pairs, camera, robot, lost, codec, things, accepted
+    )
     close_ns = events.first_ns(CLOSE_EVENT)
     checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock, close_ns)
     if not spec.parts:

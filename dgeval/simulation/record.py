@@ -16,6 +16,7 @@ import numpy as np
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, transform
 from dgeval.recording.contract import (
+    ACCEPTED_TOPIC,
     CLOSE_EVENT,
     COMMAND_TOPIC,
     EVENT_KEY,
@@ -185,6 +186,8 @@ def write_recording(
                     t_ns,
                     pose_stamped(t_ns, CAMERA_FRAME, T_camera_model),
                 )
+            accepted = message("std_msgs/Bool", data=belief.accepted)
+            put(ACCEPTED_TOPIC, t_ns, accepted)
             if cloud is not None:
                 put(MODEL_TOPIC, t_ns, cloud_message(t_ns, CAMERA_FRAME, cloud))
             if belief.velocity is not None:

@@ -6,6 +6,7 @@ on rendered frames with exact ground truth.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -299,3 +300,14 @@ def test_a_turn_that_is_not_steady_is_not_carried_on() -> None:
     assert perception.turn == pytest.approx([0.0, 0.0, 3.0], abs=0.01)
     perception.learn_turn(45 * PERIOD_NS, np.eye(4), False)
     assert not perception.turn.any(), "what is not seen is not known to turn on"
+
+
+def test_frames_are_merged_as_the_robot_merged_them(sliding: Any) -> None:
+    """Fails where the gate overrules the robot's own word, which alone is asked for."""
+    frames, boxes, _ = sliding
+    flagged = [replace(f, accepted=f.index % 3 != 1) for f in frames[:12]]
+    steps = run(flagged, boxes[0], "registration.accept=recorded", "registration.c_a_f=0.999999")
+    assert [s.accepted for s in steps] == [f.index % 3 != 1 for f in flagged]
+    assert {s.row["icp_reject_reason"] for s in steps if not s.accepted} == {"recorded"}
+    unsaid = run(frames[:6], boxes[0], "registration.accept=recorded")
+    assert all(s.accepted for s in unsaid), "where nothing is said the gate decides"

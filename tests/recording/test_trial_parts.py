@@ -12,7 +12,7 @@ import pytest
 from dgeval.config import load_config
 from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.recording import trials
-from dgeval.recording.choices import recorded_choices
+from dgeval.recording.choices import accepted_flags, recorded_choices
 from dgeval.recording.contract import CLOSE_EVENT, TRIAL_START_EVENT
 from dgeval.recording.events import AFTER_NS, Events, events_within
 from dgeval.recording.frame_reader import LostFrames
@@ -181,3 +181,20 @@ def test_workers_get_the_hashes_that_are_known(
     arguments = (specs, CONFIG, tmp_path, None, True, 1, lambda _: None)
     workers.replay_trials(*arguments, hashes={"a": "known"})
     assert got == [("a", "known"), ("b", None)]
+
+
+def test_a_flag_is_of_the_newest_frame_by_the_time_it_was_logged() -> None:
+    """Fails where a flag that is logged after its frame's processing is taken for the next one's,
+    or a frame without one has that of another.
+    """
+    listed = [(1_020_000_000, 1.0), (1_066_900_000, 0.0), (1_066_950_000, 1.0), (900_000_000, 1.0)]
+    scan: Any = SimpleNamespace(numbers={"/dgeval/belief/accepted": listed})
+    times = [1_000_000_000, 1_033_000_000, 1_066_000_000]
+    assert accepted_flags(scan, times) == {times[0]: True, times[2]: False}
+
+
+def test_the_robots_acceptance_is_asked_for_and_not_there(demo: Path) -> None:
+    """Fails where the gate stands in, in silence, for what the log does not have."""
+    config = load_config("dynamic", ("registration.accept=recorded",))
+    with pytest.raises(UsageError, match="/dgeval/belief/accepted is not recorded"):
+        trials.open_trial(TrialSpec("a", demo), config)

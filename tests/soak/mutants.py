@@ -1574,6 +1574,18 @@ MUTANTS = [
         "if control.grasps is None",
         "tests/replay/test_fidelity.py",
     ),
+    Mutant(
+        "dgeval/recording/choices.py",
+        "out.setdefault(times[k - 1], bool(value))",
+        "out[times[k - 1]] = bool(value)",
+        "tests/recording/test_trial_parts.py",
+    ),
+    Mutant(
+        "dgeval/perception/pipeline.py",
+        'reject_reason=None if frame.accepted else "recorded"',
+        "reject_reason=result.reject_reason",
+        "tests/perception/test_tracking.py",
+    ),
 ]
 
 
