@@ -494,28 +494,6 @@ class Config(Section):
             return self.of_pipeline("handover")
         return self
 
-    def beyond_the_paper(self) -> list[str]:
-        """Sentences for a trial's notes: where these values depart from the paper."""
-        out = []
-        if self.selection.keep_margin:
-            out.append(
-                "a chosen grasp is kept until another's metric is better by "
-                f"{self.selection.keep_margin:g}"
-            )
-        if self.grasps.way_m:
-            out.append(
-                f"the last {100 * self.grasps.way_m:g} cm of the way to a grasp are free of the "
-                "model"
-            )
-        if self.servo.beyond_m:
-            out.append(f"the hand is sent {1e3 * self.servo.beyond_m:g} mm beyond the grasp")
-        if self.execution.arrived_m is not None:
-            out.append(
-                f"executed within {1e3 * self.execution.arrived_m:g} mm of the grasp, not by score "
-                "alone"
-            )
-        return [f"not in the paper: {what}" for what in out]
-
 
 def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) -> Config:
     """The configuration of a pipeline's name or TOML file, changed by `section.key=value` texts.

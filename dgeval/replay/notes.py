@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dgeval.config import Config
+from dgeval.paper_values import CHOICE, CONTROL, PERCEPTION, departure_note
 from dgeval.perception.trackers import tracker_named
 from dgeval.recording.contract import GRASP_TOPIC
 from dgeval.recording.trials import Trial
@@ -21,6 +22,7 @@ class FrameCounts:
 
     lost: the tracker had lost the target. predicted: no accepted registration. no_depth: the
     target was tracked, but without usable depth on it. no_hand: the hand's shape was not known.
+    no_grasp: there were candidates, and none was chosen.
     """
 
     frames: int = 0
@@ -28,10 +30,12 @@ class FrameCounts:
     predicted: int = 0
     no_depth: int = 0
     no_hand: int = 0
+    no_grasp: int = 0
 
     def with_frame(self, step: Step) -> FrameCounts:
         """The counts after one more frame."""
         state = step.tracked.state
+        grasps = None if step.control is None else step.control.grasps
         unobserved = state == "tracked" and step.perceived.observation is None
         return replace(
             self,
@@ -40,6 +44,7 @@ class FrameCounts:
             predicted=self.predicted + (not step.accepted),
             no_depth=self.no_depth + unobserved,
             no_hand=self.no_hand + (step.frame.hand is None),
+            no_grasp=self.no_grasp + (grasps is not None and grasps.choice is None),
         )
 
 
@@ -78,18 +83,28 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
     if stand_in is not None:
         notes.append(f"stand-in: {stand_in} in place of TransT-M")
     if config.pipeline == "vfas":
+        notes += departure_note(config, ("vfas",))
         return notes + vfas_notes(config, seed_of(trial) is not None, trial.robot.hand)
     recorded = bool(trial.scan.poses.get(GRASP_TOPIC))
     source = grasp_source(trial.robot, recorded, config.grasps)
+    chosen = CHOICE if source == "ffhnet" else ()
+    notes += departure_note(config, (*PERCEPTION, *chosen, *CONTROL))
     if source == "recorded":
         notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
     elif source == "ffhnet":
         notes += ffhnet_notes(config)
+        if counts.no_grasp:
+            from dgeval.planning.grasps import MOST_TRIED  # imports torch
+
+            notes.append(
+                f"no grasp was chosen in {counts.no_grasp} of {counts.frames} frames: no candidate "
+                f"is free of the model, or none of the first {MOST_TRIED} that are is in reach"
+            )
     return notes
 
 
 def ffhnet_notes(config: Config) -> list[str]:
-    """Where the choice of a grasp departs from the paper, and the weights of FFHNet."""
+    """The weights of FFHNet, and their threshold."""
     from dgeval.networks.checkpoints import published
     from dgeval.planning.grasps import networks_of  # imports torch
 
@@ -100,7 +115,7 @@ def ffhnet_notes(config: Config) -> list[str]:
     closes = f"closing above a score of {own:g}, the threshold of these weights"
     if given_c_e is not None and given_c_e != own:
         closes = f"closing above a score of {given_c_e:g}, though these weights' own is {own:g}"
-    return [*config.beyond_the_paper(), f"grasps by FFHNet with {weights}, {closes}"]
+    return [f"grasps by FFHNet with {weights}, {closes}"]
 
 
 def vfas_notes(config: Config, seeded: bool, hand: Hand | None) -> list[str]:
@@ -126,8 +141,6 @@ def vfas_notes(config: Config, seeded: bool, hand: Hand | None) -> list[str]:
         )
     if config.vfas.motion_field:
         notes.append("stand-in: DIS in place of GMFlow")
-    if config.vfas.noise_candidates == "top8":
-        notes.append("noisy copies of the eight leading candidates, in place of all")
     if not seeded and not config.vfas.search:
         seeds = config.vfas.contact_graspnet
         notes.append(

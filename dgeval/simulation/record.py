@@ -15,6 +15,7 @@ import numpy as np
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, transform
+from dgeval.paper_values import CHOICE, CONTROL, departure_note
 from dgeval.recording.contract import (
     ACCEPTED_TOPIC,
     CLOSE_EVENT,
@@ -250,7 +251,8 @@ def _at(tick: int) -> int:
 def _events(run: Run, scenario: Scenario) -> dict[int, list[tuple[str, Any]]]:
     perception = MODELLED if scenario.perception == "modelled" else RENDERED
     notes = [perception, GRASPS[scenario.grasps]]
-    notes += [f"simulated: {what}" for what in scenario.pipeline.beyond_the_paper()]
+    sections = (*CHOICE, *CONTROL) if scenario.grasps == "ffhnet" else ("selection", *CONTROL)
+    notes += [f"simulated: {what}" for what in departure_note(scenario.pipeline, sections)]
     start = {EVENT_KEY: TRIAL_START_EVENT, NOTES_KEY: VFAS if scenario.vfas else notes}
     out = {0: [(EVENTS_TOPIC, text(json.dumps(start)))]}
     if run.close is not None:

@@ -14,6 +14,8 @@ from dgeval.runs.target_told import FirstSeen, target_checks
 from tests.replay.test_row import step_of
 from tests.verdict.synthetic_trial import trial_of
 
+COLOUR = "not as in the paper: registration.colour = True (ours)"
+
 
 def test_frames_are_counted_by_what_became_of_the_target() -> None:
     """Catches a frame that is lost counted as one without depth, or counted twice."""
@@ -44,6 +46,7 @@ def test_notes_name_stand_ins_and_what_was_left_out() -> None:
         "1 frames could not be decoded",
         "self_filter: none, no robot description",
         "stand-in: CSRT in place of TransT-M",
+        COLOUR,
         "stand-in: the recorded grasp in place of FFHNet; hand_score as recorded",
     ]
     assert trial.notes == ("of the recording",)
@@ -54,7 +57,7 @@ def test_a_complete_trial_has_only_the_notes_of_its_parts() -> None:
     config = load_config("dynamic", ("grasps.source=none",))
     trial = trial_of()
     assert self_filter_of(trial, FrameCounts(frames=9)) == "geometry"
-    expected = ["stand-in: model tracker in place of TransT-M"]
+    expected = ["stand-in: model tracker in place of TransT-M", COLOUR]
     assert trial_notes(trial, config, FrameCounts(frames=9)) == expected
 
 
@@ -108,9 +111,12 @@ def test_ffhnet_is_named_with_its_weights() -> None:
     """Catches the shipped weights taken for the published ones, and a departure left out."""
     config = load_config("dynamic", ("grasps.source=ffhnet",))
     notes = trial_notes(trial_of(), config, FrameCounts())
-    assert notes[1:-1] == config.beyond_the_paper()
+    assert notes[1:-1] == [f"{COLOUR}, grasps.max_overlap = 0.004 (ours)"]
     own = "grasps by FFHNet with dgeval's own weights, closing above a score of"
     assert notes[-1] == f"{own} 0.4, the threshold of these weights"
+    few = trial_notes(trial_of(), config, FrameCounts(frames=9, no_grasp=4))
+    assert "in 4 of 9 frames" in few[-1]
+    assert "the first 32" in few[-1]
     mixed = load_config("dynamic", ("grasps.source=ffhnet", "execution.c_e=0.7"))
     notes = trial_notes(trial_of(), mixed, FrameCounts())
     assert notes[-1] == f"{own} 0.7, though these weights' own is 0.4"
