@@ -6,7 +6,8 @@ from typing import Any, Final
 
 from dgeval.config import Config
 
-# the papers' values of the parameters that they give (docs/papers.md, "Table V: parameters" and docs/papers.md, "VFAS parameters")
+# the papers' values of the parameters that they give (docs/papers.md, "Table V: parameters";
+# docs/papers.md, "VFAS parameters")
 GIVEN: Final[dict[str, Any]] = {
     "observation.c_z": 0.1,
     "registration.c_a_f": 0.8,
