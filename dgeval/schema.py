@@ -237,9 +237,10 @@ TRIALS: tuple[Column, ...] = (
       for stage, what in FIDELITY.items()),
     Column("gap_s", "float", "s", "blind gap before the close", "trial"),
     Column("gap_sided", "str", "", "none, one, two", "trial"),
-    # left to: The papers' time and parts: replay what the robot did, when it did it
     Column("execute_in_window", "bool", "",
-           "the replay would have closed at a working moment", "trial"),
+           "the replay would have closed when a close holds the object, by the twin, or as the "
+           "recorded one did; null where that moment was not tried", "trial"),
+    # left to: The papers' time and parts: replay what the robot did, when it did it
     Column("hindsight_score_at_execute", "float", "", "of the chosen grasp", "trial"),
     Column("evidence", "str", "", "what a person can check, with times", "trial"),
     Column("notes", "str", "",
@@ -249,7 +250,7 @@ TRIALS: tuple[Column, ...] = (
 )  # fmt: skip
 # Columns that nothing fills yet, with the title of the issue that will
 UNFILLED: dict[str, str] = dict.fromkeys(
-    ("execute_in_window", "hindsight_score_at_execute"),
+    ("hindsight_score_at_execute",),
     "The papers' time and parts: replay what the robot did, when it did it",
 )
 

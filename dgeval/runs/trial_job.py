@@ -305,6 +305,7 @@ def trial_row(
         "self_filter": self_filter_of(trial, counts),
         "target_source": target_source(trial, target),
         "t_execute_ns": t_execute_ns,
+        "execute_in_window": judgement.holds_at(t_execute_ns, trial.event_ns(CLOSE_EVENT)),
         "t_close_ns": trial.event_ns(CLOSE_EVENT),
         "close_source": trial.close.source,
         "t_fingers_ns": trial.close.fingers_ns,

@@ -31,6 +31,9 @@ CLOSING = {
 }
 
 
+SAME_CLOSE_NS = 30_000_000  # ns; the twin's close times are so far apart
+
+
 @dataclass(frozen=True, slots=True)
 class VerdictRow:
     """The verdict's columns of the trial's row, by their names in `schema.TRIALS`."""
@@ -57,7 +60,8 @@ class VerdictRow:
 class Judgement:
     """The verdict as a row, and what the review draws: decisive moment ns, pushing link.
 
-    shown: what the trial shows of its hand, for others.
+    shown: what the trial shows of its hand, for others. closes: moments of the close that were
+    tried, ns, each with the share of draws in which the object is then held.
     """
 
     row: VerdictRow
@@ -65,6 +69,19 @@ class Judgement:
     link: str | None
     notes: tuple[str, ...] = ()
     shown: HandShown | None = None
+    closes: tuple[tuple[int, float], ...] = ()
+
+    def holds_at(self, t_ns: int | None, close_ns: int | None) -> bool | None:
+        """Whether a close at a time, ns, holds the object; None where that was not tried.
+
+        close_ns: of the recorded one, which held it in a success.
+        """
+        if t_ns is None:
+            return None
+        if self.row.outcome == "success" and close_ns is not None:
+            return True if abs(t_ns - close_ns) <= SAME_CLOSE_NS else None
+        near = [share for at_ns, share in self.closes if abs(at_ns - t_ns) <= SAME_CLOSE_NS]
+        return None if not near else max(near) >= 0.5
 
 
 def judge(
@@ -113,7 +130,8 @@ def judge(
     )
     notes += notes_of(scene, decision, blame)
     shown = hand_shown(log, hindsight, ended, scene)
-    return Judgement(row, decisive_ns(decision, times), link, tuple(notes), shown)
+    closes = closes_of(decision, times)
+    return Judgement(row, decisive_ns(decision, times), link, tuple(notes), shown, closes)
 
 
 def _decision(
@@ -195,6 +213,15 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
         f"{draws.share_reproduced:.0%} reproduce the failure"
     )
     return notes
+
+
+def closes_of(decision: Decision, times: Times) -> tuple[tuple[int, float], ...]:
+    """The close times that were tried, ns, each with the share of draws that then hold."""
+    held: dict[float, list[bool]] = {}
+    for draw in decision.draws.asked:
+        for offset_s, holds in draw.facts.curve:
+            held.setdefault(offset_s, []).append(holds)
+    return tuple((times.shifted_ns(s), sum(h) / len(h)) for s, h in sorted(held.items()))
 
 
 def decisive_ns(decision: Decision, times: Times) -> int | None:

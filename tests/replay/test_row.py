@@ -101,7 +101,7 @@ def test_every_frame_column_is_filled_by_one_pipeline_or_the_other() -> None:
 def test_every_trial_column_is_filled_or_left_to_a_named_issue() -> None:
     """Catches a column of the trial table that is always null and stands on no list."""
     verdict: Any = dict.fromkeys((f.name for f in fields(VerdictRow)), "x")
-    judgement = Judgement(VerdictRow(**verdict), 3, "palm")
+    judgement = Judgement(VerdictRow(**verdict), 3, "palm", closes=((2, 1.0),))
     trial = trial_of()
     spec = TrialSpec(
         "a", trial.spec.recording, 1, 2, object="mug", scenario="s", speed=0.1, cause="timing"

@@ -1586,6 +1586,12 @@ MUTANTS = [
         "reject_reason=result.reject_reason",
         "tests/perception/test_tracking.py",
     ),
+    Mutant(
+        "dgeval/verdict/judge.py",
+        "None if not near else max(near) >= 0.5",
+        "None if not near else max(near) > 0.0",
+        "tests/verdict/test_close_times.py",
+    ),
 ]
 
 
