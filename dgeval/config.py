@@ -12,7 +12,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from dgeval.errors import Place, UsageError
@@ -299,6 +306,13 @@ class ServoConfig(Section):
         "is before it (ours)",
     )
 
+    @model_validator(mode="after")
+    def _far_before_near(self) -> ServoConfig:
+        """Equation 6 blends between c_G, near, and c_O, far."""
+        if self.c_O <= self.c_G:
+            raise PydanticCustomError("order", "c_O must be larger than c_G")
+        return self
+
 
 class OneEuroConfig(Section):
     """Parameters of the 1 euro filter at 20 Hz (docs/papers.md, "Low pass")."""
@@ -490,7 +504,8 @@ class Config(Section):
 
     def of_scenario(self, scenario: str | None) -> Config:
         """The same for a trial of a manifest's scenario: a handover has values of its own."""
-        if self.pipeline == "dynamic" and scenario == "handover":
+        is_given = "pipeline" in self.model_fields_set
+        if self.pipeline == "dynamic" and not is_given and scenario == "handover":
             return self.of_pipeline("handover")
         return self
 
@@ -508,13 +523,13 @@ def load_config(pipeline: str = "dynamic", assignments: tuple[str, ...] = ()) ->
             f"no pipeline {pipeline!r}",
             hint=f"built in: {', '.join(PIPELINES)}; or give a FILE.toml",
         )
-    else:
+    elif pipeline != "dynamic":  # what nobody has set a manifest's scenario may choose
         values["pipeline"] = pipeline
     for assignment in assignments:
         _assign(values, assignment)
     try:
         config = Config.model_validate(values)
-        return config.of_pipeline(config.pipeline)
+        return config.of_pipeline(config.pipeline) if PIPELINES[config.pipeline] else config
     except ValidationError as error:
         raise UsageError("; ".join(_explain(e) for e in error.errors())) from error
 

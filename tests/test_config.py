@@ -13,6 +13,8 @@ from dgeval.planning.execution import PAPER_C_E
 
 def test_a_handover_has_values_of_its_own() -> None:
     """Fails where a handover is replayed as a belt, or a person's word for a value is not kept."""
+    given = load_config("dynamic", ("pipeline=dynamic",))
+    assert given.of_scenario("handover").estimation.loss_policy == "constant_velocity", "as given"
     config = load_config("handover")
     assert (config.pipeline, config.estimation.loss_policy) == ("handover", "zero")
     assert config.estimation.sigma_acceleration == 1.0
@@ -25,6 +27,8 @@ def test_a_handover_has_values_of_its_own() -> None:
         assert held_out.estimation.loss_policy == "zero"
         assert held_out.estimation.sigma_acceleration == 0.5, "as given"
     assert load_config("vfas").of_scenario("handover").pipeline == "vfas"
+    with pytest.raises(UsageError, match="c_O must be larger than c_G"):
+        load_config("dynamic", ("servo.c_O=0.05",))
     with pytest.raises(UsageError, match="no pipeline 'belt'"):
         load_config("belt")
 

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from dgeval.config import Config, ObservationConfig, RegistrationConfig
+from dgeval.config import Config
 from dgeval.failure_rule import NEAR_M
 from dgeval.geometry import Array, invert
 from dgeval.hindsight.free_path import free_path
@@ -28,6 +28,7 @@ from dgeval.hindsight.moments import (
 )
 from dgeval.hindsight.smoothing import Path, Sighting
 from dgeval.hindsight.surface import CausalFrame, Surface
+from dgeval.perception.depth_noise import DepthNoise
 from dgeval.perception.pipeline import Perception
 from dgeval.perception.plane import Plane
 from dgeval.perception.registration import register
@@ -128,8 +129,8 @@ def look_back(
                 tracker,
                 model,
                 priors,
-                config.observation,
-                config.registration,
+                config,
+                perception.noise,
             )
             if sighting is None:
                 if here is frame:
@@ -250,13 +251,15 @@ def _look(
     tracker: ModelTracker,
     model: Model,
     priors: list[Array],
-    observation: ObservationConfig,
-    registration: RegistrationConfig,
+    config: Config,
+    noise: DepthNoise,
 ) -> Sighting | None:
     """Search for the model in one frame from each prior; None where none leads to it.
 
-    By depth it needs a registration that passes the gate, by colour MIN_COLOUR features.
+    By depth it needs a registration that passes the gate, by colour MIN_COLOUR features. noise: as
+    the causal pass measured it.
     """
+    observation, registration = config.observation, config.registration
     T_camera_base = invert(known.T_base_camera)
     for prior in priors:
         tracked = tracker.look(frame, model, T_camera_base @ prior)
@@ -281,6 +284,7 @@ def _look(
                 tracked.features,
                 frame.camera,
                 registration,
+                noise,
             )
             if result.reject_reason is None and result.gate_fitness > registration.c_a_f:
                 return Sighting(

@@ -105,6 +105,7 @@ class Controller:
     ) -> None:
         self._grasps, self._config, self._decisions = grasps, config, decisions
         self._servo = Servo(config.servo, hand)
+        self._null_after_ns = round(config.estimation.null_after_s * 1e9)
         self._coming: Delayed[tuple[Belief, Array] | None] = Delayed(
             config.schedule.perception_latency_s
         )
@@ -137,7 +138,8 @@ class Controller:
         known = []
         for state in states:
             newest = self._coming.at(state.t_ns)
-            known.append(None if newest is None else newest[1])
+            late = newest is not None and state.t_ns - newest[0] > self._null_after_ns
+            known.append(None if newest is None or late else newest[1])
         beliefs = [None if k is None else k[0] for k in known]
         chosen: list[GraspResult | None] = [None] * len(states)
         if self._grasps is not None:

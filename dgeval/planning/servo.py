@@ -13,6 +13,8 @@ from dgeval.config import ServoConfig
 from dgeval.geometry import Array, invert, rotation_angle, rotation_vector
 from dgeval.robots.hand import Hand
 
+GAP_NS = 100_000_000  # ns without a control period, over which the error's difference is none; ours
+
 
 @dataclass(frozen=True, slots=True)
 class ServoCommand:
@@ -101,7 +103,10 @@ class Servo:
         )
         error = np.concatenate([t_G, r])
         if is_period and (self._last is None or t_ns > self._last[0]):
-            if self._last is not None:
+            apart_ns = 0 if self._last is None else t_ns - self._last[0]
+            if self._last is None or apart_ns > GAP_NS:
+                self._difference = np.zeros(6)  # over a gap it is no control period's
+            else:
                 self._difference = error - self._last[1]
             self._last = t_ns, error
         v = c.c_p_v * t_G + c.c_d_v * self._difference[:3] + velocity

@@ -14,8 +14,12 @@ from dgeval.recording.contract import (
     GRASP_TOPIC,
     SCORE_TOPIC,
 )
+from dgeval.recording.robot import RobotStates
 from dgeval.recording.scan import Scan
 
+# s before a trial in which its first choice may be made; ns, within which stamps and the recorder's
+# times are of one clock; ours
+BEFORE_S, ONE_CLOCK_NS = 10.0, 2_000_000_000
 SCORE_LATE_NS = 1_000_000  # ns; a value logged this long after its grasp still belongs to it
 
 
@@ -51,30 +55,66 @@ class RecordedChoices:
         return self.grasps[k - 1] if k else None
 
 
-def recorded_choices(found: Scan) -> RecordedChoices:
-    """The choices that a recording holds."""
-    poses = sorted(found.poses.get(GRASP_TOPIC, []), key=lambda pose: pose.t_ns)
+def recorded_choices(found: Scan, span: tuple[int, int], robot: RobotStates) -> RecordedChoices:
+    """The choices of one trial, within a span of time, ns, see `choice_span`.
+
+    A grasp counts from its stamp on, but not before it was logged, where both are of one clock;
+    without a stamp of the recording's clock, from when it was logged on. One that is given in
+    another frame than the base is brought there.
+    """
+    grasps: list[tuple[int, Array]] = []
+    poses = found.poses.get(GRASP_TOPIC, [])
+    logged = found.times[GRASP_TOPIC].log_ns if GRASP_TOPIC in found.times else []
+    if len(logged) != len(poses):
+        logged = [pose.t_ns for pose in poses]
+    apart = [log_ns - pose.t_ns for pose, log_ns in zip(poses, logged, strict=True)]
+    one_clock = bool(apart) and abs(sorted(apart)[len(apart) // 2]) < ONE_CLOCK_NS
+    for pose, log_ns in zip(poses, logged, strict=True):
+        is_stamped = span[0] <= pose.t_ns <= span[1]
+        t_ns = max(pose.t_ns, log_ns) if one_clock else pose.t_ns if is_stamped else log_ns
+        T = matrix_from_pose(pose.pose)
+        if pose.parent and robot.base_frame and pose.parent != robot.base_frame:
+            T_base_parent = robot.tree.lookup(robot.base_frame, pose.parent, t_ns)
+            T = T if T_base_parent is None else T_base_parent @ T
+        if span[0] <= t_ns <= span[1]:
+            grasps.append((t_ns, T))
+    grasps.sort(key=lambda grasp: grasp[0])
     return RecordedChoices(
-        tuple(pose.t_ns for pose in poses),
-        tuple(matrix_from_pose(pose.pose) for pose in poses),
-        *(_numbers(found, topic) for topic in (GRASP_SCORE_TOPIC, SCORE_TOPIC, EXECUTE_TOPIC)),
+        tuple(t_ns for t_ns, _ in grasps),
+        tuple(T for _, T in grasps),
+        *(_numbers(found, name, span) for name in (GRASP_SCORE_TOPIC, SCORE_TOPIC, EXECUTE_TOPIC)),
     )
+
+
+def choice_span(start_ns: int, end_ns: int, marks: Sequence[int]) -> tuple[int, int]:
+    """The time, ns, in which a choice belongs to the trial from start_ns to end_ns.
+
+    It may be made before the start, but not before the newest of `marks`, ns, at which something
+    else began or ended, nor earlier than BEFORE_S.
+    """
+    before = [t for t in marks if t < start_ns]
+    return max([start_ns - round(BEFORE_S * 1e9), *before]), end_ns
 
 
 def accepted_flags(found: Scan, times: Sequence[int]) -> dict[int, bool]:
     """Whether the robot merged a frame into its model, by the frame's stamp, ns.
 
-    A flag has no stamp: it is taken to be of the newest frame by the time it was logged, of
-    frames at `times`. A frame without one is left out.
+    A flag has no stamp. As many flags as frames are one each, in order; else a flag is of the
+    newest frame by the time it was logged, and of none a second after the last. times: of the
+    frames. A frame without a flag is left out.
     """
+    first, last = times[0] - SCORE_LATE_NS, times[-1] + round(1e9)
+    flags = [f for f in sorted(found.numbers.get(ACCEPTED_TOPIC, [])) if first <= f[0] <= last]
+    if len(flags) == len(times):
+        return {t_ns: bool(flag) for t_ns, (_, flag) in zip(times, flags, strict=True)}
     out: dict[int, bool] = {}
-    for t_ns, value in sorted(found.numbers.get(ACCEPTED_TOPIC, [])):
+    for t_ns, value in flags:
         k = bisect_right(times, t_ns + SCORE_LATE_NS)
         if k:
             out.setdefault(times[k - 1], bool(value))
     return out
 
 
-def _numbers(found: Scan, topic: str) -> Numbers:
-    listed = sorted(found.numbers.get(topic, []), key=lambda value: value[0])
+def _numbers(found: Scan, topic: str, span: tuple[int, int]) -> Numbers:
+    listed = sorted(v for v in found.numbers.get(topic, []) if span[0] <= v[0] <= span[1])
     return Numbers(tuple(t_ns for t_ns, _ in listed), tuple(value for _, value in listed))

@@ -37,6 +37,7 @@ ODOMETRY = "odom"  # where the body of a robot is the top of its tree
 SAME_POSE = 0.005  # m and parts of a quaternion; transforms that differ by less are one; ours
 ONE_OF_THEM = "the last counts; record one of them"
 
+EARLY = 0.8  # share of the least time between two control periods that jitter may leave; ours
 MOVES = 1e-6  # m, and of a quaternion, by which a recorded transform moves
 NAMELESS = "camera"  # the frame of images that name none, nor does their camera_info
 
@@ -174,8 +175,8 @@ class RobotStates:
     def palm_stamps(self, least_s: float) -> list[int]:
         """Times, ns, of the recorded states that move the palm in the base frame, in order.
 
-        Those of the joint or frame between them that is recorded most often, at least least_s
-        apart.
+        Those of the joint or frame between them that moves and is recorded most often, about
+        least_s apart or more: a state may be early by a fifth of it.
         """
         if self.palm_frame is None or self.base_frame is None:
             return []
@@ -185,12 +186,14 @@ class RobotStates:
             if frame == self.base_frame:
                 break
             if frame in tree.moving:
-                listed.append(tree.moving[frame][1].times)
+                track = tree.moving[frame][1]
+                if float(np.ptp(track.poses, axis=0).max()) > MOVES:  # a mount may be on /tf too
+                    listed.append(track.times)
             elif frame in tree.computed and frame in joints:
                 listed.append(self.joints.times.get(joints[frame].follows, []))
         out: list[int] = []
         for t_ns in max(listed, key=len):
-            if not out or t_ns - out[-1] >= least_s * 1e9:
+            if not out or t_ns - out[-1] >= EARLY * least_s * 1e9:
                 out.append(t_ns)
         return out
 

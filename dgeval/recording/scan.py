@@ -204,9 +204,9 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 twist = opened.decode(message)
                 times.header_ns.append(stamp_ns(twist))
                 v, w = twist.twist.linear, twist.twist.angular
-                out.twists[message.topic].append(
-                    (times.header_ns[-1], np.array([v.x, v.y, v.z, w.x, w.y, w.z]))
-                )
+                values = np.array([v.x, v.y, v.z, w.x, w.y, w.z], dtype=np.float64)
+                if np.isfinite(values).all():
+                    out.twists[message.topic].append((times.header_ns[-1], values))
             elif topic.type == CAMERA_INFO:
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
                 matrix = message.data[20:]  # after the stamp; equal bytes are not decoded again
@@ -259,7 +259,8 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                     out.grippers[message.topic].append((at or message.log_ns, number))
             elif message.topic in NUMBERS:
                 value = float(opened.decode(message).data)
-                out.numbers.setdefault(message.topic, []).append((message.log_ns, value))
+                if np.isfinite(value):
+                    out.numbers.setdefault(message.topic, []).append((message.log_ns, value))
         except NOT_USABLE as error:
             if topic.type in STAMPED and len(times.header_ns) < len(times.log_ns):
                 times.header_ns.append(0)  # so that the stamps of the others stay theirs

@@ -24,8 +24,8 @@ from dgeval.perception.types import Model, Tracked
 from dgeval.planning.carried import Belief
 from dgeval.planning.control import Control, Controller, Grasps, HandState
 from dgeval.planning.recorded_grasps import RecordedGrasps
-from dgeval.recording.choices import Numbers, RecordedChoices, recorded_choices
-from dgeval.recording.contract import CLOSE_EVENT, EXECUTE_TOPIC, SEED_TOPIC
+from dgeval.recording.choices import Numbers, RecordedChoices, choice_span, recorded_choices
+from dgeval.recording.contract import CLOSE_EVENT, EXECUTE_TOPIC, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
 from dgeval.recording.messages import StampedPose
 from dgeval.recording.robot import RobotStates
@@ -157,8 +157,9 @@ def replay(
         vfas = None if planner is None else planner.step(frame, T_base_camera)
         control = None
         if controller is not None:
-            belief = _belief(frame, perceived, T_base_camera)
-            controller.see(frame.t_ns, frame.index, belief, perceived.model, T_base_camera)
+            if T_base_camera is not None:  # else the belief before is carried on
+                belief = _belief(frame, perceived, T_base_camera)
+                controller.see(frame.t_ns, frame.index, belief, perceived.model, T_base_camera)
             clock.lap("grasps")
             control = controller.at(HandState(frame.t_ns, frame.T_base_palm, T_base_camera))
         clock.lap("control")
@@ -178,10 +179,23 @@ def grasp_source(robot: RobotStates, recorded: bool, config: GraspsConfig) -> st
     return "ffhnet" if known and robot.palm_frame is not None else "none"
 
 
+def choices_of(trial: Trial) -> RecordedChoices:
+    """What the robot recorded of its own choice in a trial, and none of another trial's."""
+    start_ns = trial.spec.start_ns or trial.pairs[0].t_ns
+    end_ns = max(trial.spec.end_ns or 0, trial.pairs[-1].t_ns)
+    marks = [event.t_ns for event in trial.scan.events]
+    return recorded_choices(trial.scan, choice_span(start_ns, end_ns, marks), trial.robot)
+
+
 def _controller(trial: Trial, config: Config) -> Controller:
-    recorded = recorded_choices(trial.scan)
+    recorded = choices_of(trial)
     source = grasp_source(trial.robot, bool(recorded.times), config.grasps)
     grasps: Grasps | None = None
+    if source == "recorded" and not recorded.times:
+        raise UsageError(
+            f"grasps.source = 'recorded', but in this trial {GRASP_TOPIC} is not recorded",
+            Place(str(trial.spec.recording)),
+        )
     if source == "recorded":
         grasps = RecordedGrasps(recorded, config)
     elif source != "none":
@@ -215,9 +229,9 @@ def _states(robot: RobotStates, stamps: list[int]) -> list[HandState]:
     return [state for state in states if state.T_base_palm is not None]
 
 
-def _belief(frame: Frame, perceived: Perceived, T_base_camera: Array | None) -> Belief | None:
+def _belief(frame: Frame, perceived: Perceived, T_base_camera: Array) -> Belief | None:
     """The target as of a frame; None where nothing is known of it, or not any more."""
-    if perceived.model is None or perceived.fused.centroid is None or T_base_camera is None:
+    if perceived.model is None or perceived.fused.centroid is None:
         return None
     assert perceived.T_camera_model is not None
     estimate = perceived.estimate

@@ -19,11 +19,10 @@ from dgeval.errors import UndecodableError
 from dgeval.geometry import Array, invert, matrix_from_pose, rotation_angle, transform
 from dgeval.perception.types import Window
 from dgeval.planning.control import Control
-from dgeval.recording.choices import recorded_choices
 from dgeval.recording.contract import COMMAND_TOPIC, MASK_TOPIC, TARGET_TOPIC, VELOCITY_TOPIC
 from dgeval.recording.images import decode_image
 from dgeval.recording.trials import Trial
-from dgeval.replay.causal import Step, grasp_source, recorded_decisions
+from dgeval.replay.causal import Step, choices_of, grasp_source, recorded_decisions
 
 LAST_S, LEAST_VALUES = 1.0, 10
 MOST = 0.9  # quantile of the errors in the last second that must be within the bounds; ours
@@ -60,7 +59,8 @@ class Fidelity:
     """One stage beside the robot's own values.
 
     n: recorded values in the last second. errors: the MOST quantile of each of BOUNDS[stage] in it,
-    and at the instant. is_faithful: None where too little is recorded to say.
+    or that at the instant if it is larger; none where the replay has nothing beside most of them.
+    is_faithful: None where too little is recorded to say.
     """
 
     stage: str
@@ -78,7 +78,9 @@ class Fidelity:
         """For the notes."""
         if self.is_faithful is None:
             return f"{self.stage} not known ({self.n} recorded values)"
-        if not np.isfinite(self.errors).all():
+        if not self.errors:
+            return f"{self.stage}: the replay has none in most of {self.n} ({self.word})"
+        if self.stage == "decision" and not np.isfinite(self.errors).all():
             return f"{self.stage}: one of the two never closes ({self.word})"
         bounds = BOUNDS[self.stage]
         values = ", ".join(
@@ -96,7 +98,7 @@ class Compared:
         self._targets = _in_order([(p.t_ns, p.pose) for p in scan.poses.get(TARGET_TOPIC, [])])
         self._velocities = _in_order(scan.twists.get(VELOCITY_TOPIC, []))
         self._commands = _in_order(scan.twists.get(COMMAND_TOPIC, []))
-        self._choices = recorded_choices(scan)
+        self._choices = choices_of(trial)
         source = grasp_source(trial.robot, bool(self._choices.times), config.grasps)
         self._chooses = source == "ffhnet" and config.pipeline != "vfas"
         own = recorded_decisions(self._choices, source, config)
@@ -117,7 +119,10 @@ class Compared:
             apart = float(np.linalg.norm(estimate.velocity - velocity[:3]))
             self._errors["velocity"].append((t_ns, (apart,)))
         mask, window = step.tracked.mask, step.tracked.window
-        if mask is not None and window is not None and MASK_TOPIC in self._trial.scan.times:
+        # the robot's masks are of its own pictures, not of those that the lens was taken out of
+        trial = self._trial
+        comparable = MASK_TOPIC in trial.scan.times and trial.reader.camera.lens is None
+        if mask is not None and window is not None and comparable:
             self._masks.append((t_ns, window, mask.shape, np.packbits(mask)))
         for control in step.periods:
             self._add_period(control)
@@ -165,10 +170,15 @@ class Compared:
     def until(self, t_ns: int) -> tuple[Fidelity, ...]:
         """The stages of which the robot recorded something, at the decisive instant t_ns."""
         self._errors["mask"] = self._mask_errors(t_ns)
+        theirs = {
+            "target": self._targets[0],
+            "velocity": self._velocities[0],
+            "twist": self._commands[0],
+        }
         out = [
-            _fidelity(stage, errors, t_ns)
+            _fidelity(stage, self._errors[stage], theirs.get(stage, []), t_ns)
             for stage in BOUNDS
-            if (errors := self._errors.get(stage)) and stage != "decision"
+            if stage != "decision" and (self._errors[stage] or theirs.get(stage))
         ]
         decided = self._decision(t_ns)
         return (*out, decided) if decided is not None else tuple(out)
@@ -212,10 +222,20 @@ def fidelity_notes(stages: Sequence[Fidelity]) -> list[str]:
     return [f"the replay beside the robot's own values in the last second: {told}"] if told else []
 
 
-def _fidelity(stage: str, errors: Sequence[tuple[int, tuple[float, ...]]], t_ns: int) -> Fidelity:
-    last = [e for t, e in errors if t_ns - LAST_S * 1e9 <= t <= t_ns]
+def _fidelity(
+    stage: str,
+    errors: Sequence[tuple[int, tuple[float, ...]]],
+    recorded: Sequence[int],
+    t_ns: int,
+) -> Fidelity:
+    """recorded: times of what the robot recorded, ns; a replay that has none of it is no answer."""
+    since = t_ns - LAST_S * 1e9
+    last = [e for t, e in errors if since <= t <= t_ns]
+    theirs = sum(since <= t <= t_ns for t in recorded)
+    if theirs >= LEAST_VALUES and stage != "twist" and 2 * len(last) < theirs:
+        return Fidelity(stage, theirs, (), False)
     if len(last) < LEAST_VALUES:
-        return Fidelity(stage, len(last))
+        return Fidelity(stage, max(len(last), theirs))
     worst = np.maximum(np.quantile(np.array(last), MOST, axis=0), last[-1])
     faithful = all(e <= b.most for e, b in zip(worst.tolist(), BOUNDS[stage], strict=True))
     return Fidelity(stage, len(last), tuple(worst.tolist()), faithful)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dgeval.config import Config
+from dgeval.config import PIPELINES, Config
 from dgeval.paper_values import CHOICE, CONTROL, PERCEPTION, departure_note
 from dgeval.perception.trackers import tracker_named
-from dgeval.recording.contract import GRASP_TOPIC
 from dgeval.recording.trials import Trial
-from dgeval.replay.causal import Step, grasp_source, seed_of
+from dgeval.replay.causal import Step, choices_of, grasp_source, seed_of
 from dgeval.robots.hand import Hand
 
 FEW_FRAMES = 0.1  # share of the frames without the hand's shape, above which a note says it; ours
@@ -79,14 +78,20 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
             f"the hand's shape is not known in {counts.no_hand} of {counts.frames} frames, for "
             "want of joint states or poses: there it was not taken out of the images"
         )
+    if config.pipeline == "handover" and trial.spec.scenario == "handover":
+        own = ", ".join(
+            f"{section}.{key} = {getattr(getattr(config, section), key)}"
+            for section, values in PIPELINES["handover"].items()
+            for key in values
+        )
+        notes.append(f"pipeline handover: {own}")
     stand_in = tracker_named(config.tracking.method).STAND_IN
     if stand_in is not None:
         notes.append(f"stand-in: {stand_in} in place of TransT-M")
     if config.pipeline == "vfas":
         notes += departure_note(config, ("vfas",))
         return notes + vfas_notes(config, seed_of(trial) is not None, trial.robot.hand)
-    recorded = bool(trial.scan.poses.get(GRASP_TOPIC))
-    source = grasp_source(trial.robot, recorded, config.grasps)
+    source = grasp_source(trial.robot, bool(choices_of(trial).times), config.grasps)
     chosen = CHOICE if source == "ffhnet" else ()
     notes += departure_note(config, (*PERCEPTION, *chosen, *CONTROL))
     if source == "recorded":

@@ -124,7 +124,8 @@ def _replay_trial(
     estimates: Estimates | None,
 ) -> TrialResult:
     trial = open_trial(spec, config, sha256)
-    key, config = resume_key(spec, config, trial.sha256, estimates), trial.config
+    config = trial.config
+    key = resume_key(spec, config, trial.sha256, estimates)
     name = file_name(spec.id)
     mark = out / "trials" / f"{name}.json"
     if not force:

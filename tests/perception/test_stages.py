@@ -548,6 +548,16 @@ def test_what_is_asked_between_periods_leaves_the_servo_as_it_is() -> None:
         servo.step(k * 10_000_000 + 3_000_000, at(), at(x=0.5), None, still, still, False)
 
 
+def test_a_gap_is_no_control_period() -> None:
+    """Fails where the change of the error over a gap of seconds kicks the hand at once."""
+    servo, still = Servo(ServoConfig(), FIVE_FINGERS), np.zeros(3)
+    servo.step(0, at(), at(x=0.3), None, still, still)
+    after = servo.step(3_000_000_000, at(), at(x=0.1), None, still, still)
+    assert after.twist[0] == pytest.approx(0.1)
+    soon = servo.step(3_010_000_000, at(), at(x=0.09), None, still, still)
+    assert soon.twist[0] == pytest.approx(0.09 - 2.0 * 0.01)
+
+
 def test_orientation_blends_from_object_to_grasp() -> None:
     """Catches far and near swapped, and a blend that is not linear."""
     c = ServoConfig()

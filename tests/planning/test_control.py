@@ -197,6 +197,15 @@ def test_control_periods_are_the_states_of_what_moves_fastest() -> None:
     states = replace(robot(), tree=tree)
     assert np.diff(states.palm_stamps(0.008)).tolist() == [8_000_000] * 124
     assert len(states.palm_stamps(0.001)) == 500
+    jitter = np.random.default_rng(0).uniform(-2e5, 2e5, 125)
+    tree = TransformTree()
+    for k, late in enumerate(jitter):
+        at_125_hz = np.concatenate([[k * 0.01], pose[1:]])
+        tree.add_moving(round(k * 8e6 + late), "base", "palm", at_125_hz)
+    for t in range(0, 1_000_000_000, 2_000_000):
+        tree.add_moving(t, "palm", "mount", pose)  # said again and again, and never moved
+    states = replace(robot(), tree=tree, palm_frame="mount")
+    assert len(states.palm_stamps(0.008)) == 125, "none is left out for its jitter"
     assert replace(states, palm_frame=None).palm_stamps(0.008) == []
 
 

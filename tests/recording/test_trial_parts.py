@@ -12,7 +12,7 @@ import pytest
 from dgeval.config import load_config
 from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.recording import trials
-from dgeval.recording.choices import accepted_flags, recorded_choices
+from dgeval.recording.choices import accepted_flags, choice_span, recorded_choices
 from dgeval.recording.contract import CLOSE_EVENT, TRIAL_START_EVENT
 from dgeval.recording.events import AFTER_NS, Events, events_within
 from dgeval.recording.frame_reader import LostFrames
@@ -128,8 +128,10 @@ def test_a_grasp_has_the_newest_score_by_then() -> None:
     scan: Any = SimpleNamespace(
         poses={"/dgeval/belief/grasp": [StampedPose(t, "base", "", pose) for t in at]},
         numbers={"/dgeval/belief/score": [(1_000_900_000, 0.2), (1_002_000_000, 0.9)]},
+        times={},
     )
-    choices = recorded_choices(scan)
+    robot: Any = SimpleNamespace(base_frame="base")
+    choices = recorded_choices(scan, (0, 9_000_000_000), robot)
     assert choices.times == tuple(sorted(at))
     assert [choices.hand_scores.at(t) for t in sorted(at)] == [None, 0.2, 0.9]
     assert [choices.scores.at(t) for t in sorted(at)] == [None] * 3
@@ -187,10 +189,44 @@ def test_a_flag_is_of_the_newest_frame_by_the_time_it_was_logged() -> None:
     """Fails where a flag that is logged after its frame's processing is taken for the next one's,
     or a frame without one has that of another.
     """
-    listed = [(1_020_000_000, 1.0), (1_066_900_000, 0.0), (1_066_950_000, 1.0), (900_000_000, 1.0)]
+    listed = [(1_020_000_000, 1.0), (1_066_900_000, 0.0), (900_000_000, 1.0), (9_000_000_000, 1.0)]
     scan: Any = SimpleNamespace(numbers={"/dgeval/belief/accepted": listed})
     times = [1_000_000_000, 1_033_000_000, 1_066_000_000]
     assert accepted_flags(scan, times) == {times[0]: True, times[2]: False}
+    late = [(t + 50_000_000, float(k != 1)) for k, t in enumerate(times)]  # one for each, 50 ms on
+    scan = SimpleNamespace(numbers={"/dgeval/belief/accepted": late})
+    assert accepted_flags(scan, times) == {times[0]: True, times[1]: False, times[2]: True}
+
+
+def test_a_choice_of_another_trial_or_clock_is_none_of_this_one() -> None:
+    """Fails where the trial before says that the hand closes, or a grasp without a stamp, or one
+    that was logged later than its picture, is known before it was made.
+    """
+    second = 1_000_000_000
+    assert choice_span(100 * second, 110 * second, []) == (90 * second, 110 * second)
+    marks = [95 * second, 97 * second, 101 * second]
+    assert choice_span(100 * second, 110 * second, marks)[0] == 97 * second
+    pose = np.array([0, 0, 0, 0, 0, 0, 1.0])
+    robot: Any = SimpleNamespace(base_frame="base")
+
+    def times_of(stamps: list[int], logged: list[int]) -> tuple[int, ...]:
+        scan: Any = SimpleNamespace(
+            poses={"/dgeval/belief/grasp": [StampedPose(t, "base", "", pose) for t in stamps]},
+            times={"/dgeval/belief/grasp": SimpleNamespace(log_ns=logged)},
+            numbers={"/dgeval/belief/execute": [(80 * second, 1.0), (101 * second, 0.0)]},
+        )
+        choices = recorded_choices(scan, (90 * second, 110 * second), robot)
+        assert choices.decisions.at(100 * second) is None
+        return choices.times
+
+    logged = [85 * second, 101 * second, 102 * second]
+    assert times_of(logged, logged) == (101 * second, 102 * second)
+    assert times_of([0, 0, 0], logged) == (101 * second, 102 * second)
+    assert times_of([t - 50_000_000 for t in logged], logged) == (101 * second, 102 * second)
+    assert times_of([t + 86_400 * second for t in logged], logged) == (101 * second, 102 * second)
+    stamps = [85 * second, 101 * second, 102 * second]
+    other = [t + 86_400 * second for t in stamps]  # a recorder with a clock of its own
+    assert times_of(stamps, other) == (101 * second, 102 * second)
 
 
 def test_the_robots_acceptance_is_asked_for_and_not_there(demo: Path) -> None:

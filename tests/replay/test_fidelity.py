@@ -149,6 +149,30 @@ def test_a_few_values_say_nothing(replayed: Recording, monkeypatch: pytest.Monke
         assert "recorded values" in found[stage].told
 
 
+def test_a_replay_that_lost_what_the_robot_tracked_is_not_faithful(
+    replayed: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fails where a replay without a target is told as nothing recorded."""
+    trial, steps = replayed
+    lost = replace(steps[-1].perceived.fused, centroid=None)
+    blind = [
+        replace(s, perceived=replace(s.perceived, fused=lost, estimate=None)) for s in steps[10:]
+    ]
+    monkeypatch.setattr(fidelity, "LAST_S", 1.2)
+    monkeypatch.setattr(Compared, "add", added_from(blind, Compared.add))
+    found = beside((trial, steps), monkeypatch)
+    for stage in ("target", "velocity"):
+        assert found[stage].is_faithful is False
+        assert "the replay has none in most of" in found[stage].told
+
+
+def added_from(blind: list[Step], add: Callable[[Compared, Step], None]) -> Any:
+    """`Compared.add`, with frames from the tenth on in place of those of the same number."""
+    return lambda compared, step: add(
+        compared, blind[step.frame.index - 10] if step.frame.index >= 10 else step
+    )
+
+
 def test_what_is_taken_from_the_log_is_not_held_against_it(demo: Path) -> None:
     """Fails where a recorded grasp, used by the replay, shows how faithful the replay is."""
     trial = api.open_trial(demo)

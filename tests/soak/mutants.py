@@ -1592,6 +1592,36 @@ MUTANTS = [
         "None if not near else max(near) > 0.0",
         "tests/verdict/test_close_times.py",
     ),
+    Mutant(
+        "dgeval/recording/choices.py",
+        "max([start_ns - round(BEFORE_S * 1e9), *before])",
+        "start_ns - round(BEFORE_S * 1e9)",
+        "tests/recording/test_trial_parts.py",
+    ),
+    Mutant(
+        "dgeval/recording/choices.py",
+        "max(pose.t_ns, log_ns) if one_clock",
+        "pose.t_ns if one_clock",
+        "tests/recording/test_trial_parts.py",
+    ),
+    Mutant(
+        "dgeval/planning/servo.py",
+        "apart_ns > GAP_NS",
+        "apart_ns > 100 * GAP_NS",
+        "tests/perception/test_stages.py",
+    ),
+    Mutant(
+        "dgeval/recording/robot.py",
+        "EARLY * least_s * 1e9",
+        "least_s * 1e9",
+        "tests/planning/test_control.py",
+    ),
+    Mutant(
+        "dgeval/replay/fidelity.py",
+        "2 * len(last) < theirs",
+        "len(last) > theirs",
+        "tests/replay/test_fidelity.py",
+    ),
 ]
 
 
