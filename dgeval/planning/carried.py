@@ -2,8 +2,8 @@
 
 An image's result is older than the control period that uses it, by the perception's latency; under
 loss it is a prediction. In both the target goes on with its estimated velocity, and with it the
-grasps. Where the estimate's policy under loss is that the target stands still, its velocity is 0
-(paper III-A.3, and the handover's V-C).
+grasps (paper III-B.4). Where the estimate's policy under loss is that the target stands still, its
+velocity is 0 (IV-B).
 """
 
 from __future__ import annotations
