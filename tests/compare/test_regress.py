@@ -87,7 +87,7 @@ def before(manifest: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
         ("registration.search_radius=0.006", "registration", 1),
         ("fusion.epsilon=0.002", "fusion", None),
         ("estimation.sigma_position=0.008", "estimation", None),
-        ("selection.c_m_t=-0.2", "grasps", None),
+        ("schedule.grasps_latency_s=0.1", "grasps", None),
         ("servo.c_p_v=1.3", "servo", None),
         ("execution.c_e=1e-30", "execution", None),
     ],

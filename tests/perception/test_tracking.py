@@ -100,11 +100,11 @@ def run(frames: list[Frame], box: tuple[float, ...], *settings: str) -> list[Ste
             T_base_palm=lambda _: None,
             palm_stamps=lambda _: [],
         ),
-        spec=SimpleNamespace(bbox=box, bbox_time_ns=None),
+        spec=SimpleNamespace(bbox=box, bbox_time_ns=None, start_ns=None, end_ns=None),
         event_ns=lambda _: None,
         frames=lambda: iter(frames),
         pairs=[SimpleNamespace(t_ns=frame.t_ns) for frame in frames],
-        scan=SimpleNamespace(poses={}, numbers={}),
+        scan=SimpleNamespace(poses={}, numbers={}, times={}, events=[]),
     )
     return list(replay(trial, load_config("dynamic", ("grasps.source=none", *settings))))
 

@@ -458,7 +458,8 @@ def test_a_reacquired_object_is_followed_backwards(monkeypatch: pytest.MonkeyPat
     surface.add(
         Model(np.random.default_rng(0).normal(0, 0.02, (50, 3)), np.tile([0.0, 0.0, 1.0], (50, 1)))
     )
-    found = look_back(trial, seen, surface, SimpleNamespace(tracker=None), Config())  # type: ignore[arg-type]
+    known = SimpleNamespace(tracker=None, noise=None)
+    found = look_back(trial, seen, surface, known, Config())  # type: ignore[arg-type]
     assert found is not None
     assert [s.t_ns // step for s in found.sightings] == [*range(20), *range(23, 40)]
 
@@ -598,9 +599,9 @@ def test_a_failed_handover_has_a_cause(tmp_path: Path) -> None:
 
     scenario = load_scenario("handover").model_copy(update={"grasps": "analytic", "faults": {}})
     plan = replace(
-        plan_trial(scenario, ten_objects(), 5, 0), faults=Faults(grasp_offset=(0, 0.06, 0, 0, 0, 0))
+        plan_trial(scenario, ten_objects(), 0, 0), faults=Faults(grasp_offset=(0, 0.06, 0, 0, 0, 0))
     )
-    run, world = simulate(Campaign(scenario, 5, 1, tmp_path), plan)
+    run, world = simulate(Campaign(scenario, 0, 1, tmp_path), plan)
     assert run.finish is not None
     assert not run.finish.success
     scene = modelled(run, world)
