@@ -116,14 +116,14 @@ class Controller:
         frame: int,
         belief: Belief | None,
         model: Model | None,
-        T_base_camera: Array | None,
+        T_base_camera: Array,
     ) -> None:
         """One frame's result. belief: None where nothing is known of the target."""
         if belief is None or model is None:
             self._coming.step(t_ns, None)
             return
         self._coming.step(t_ns, (belief, model.points.mean(axis=0)))
-        if self._grasps is not None and belief.seen and T_base_camera is not None:
+        if self._grasps is not None and belief.seen:
             self._grasps.see(t_ns, frame, model, belief, T_base_camera)
 
     def run(self, states: Sequence[HandState]) -> list[Control]:

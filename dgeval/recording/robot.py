@@ -6,7 +6,9 @@ transform tree.
 
 from __future__ import annotations
 
+import itertools
 from bisect import bisect_left
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -180,19 +182,10 @@ class RobotStates:
         """
         if self.palm_frame is None or self.base_frame is None:
             return []
-        tree, joints = self.tree, self.description.joints if self.description else {}
-        listed: list[list[int]] = [[]]
-        for frame in tree.ancestors(self.palm_frame):
-            if frame == self.base_frame:
-                break
-            if frame in tree.moving:
-                track = tree.moving[frame][1]
-                if float(np.ptp(track.poses, axis=0).max()) > MOVES:  # a mount may be on /tf too
-                    listed.append(track.times)
-            elif frame in tree.computed and frame in joints:
-                listed.append(self.joints.times.get(joints[frame].follows, []))
+        chain = self.tree.ancestors(self.palm_frame)
+        below = itertools.takewhile(lambda frame: frame != self.base_frame, chain)
         out: list[int] = []
-        for t_ns in max(listed, key=len):
+        for t_ns in max(_stamps_of_moving(self, below), key=len, default=[]):
             if not out or t_ns - out[-1] >= EARLY * least_s * 1e9:
                 out.append(t_ns)
         return out
@@ -212,17 +205,23 @@ class RobotStates:
         return out
 
 
-def states_period_s(robot: RobotStates) -> float:
-    """s between the states of what moves the camera, of the slowest; 0 where nothing does."""
+def _stamps_of_moving(robot: RobotStates, frames: Iterable[str]) -> list[list[int]]:
+    """Times, ns, of the recorded states of each of some frames that moves against its parent."""
     tree, joints = robot.tree, robot.description.joints if robot.description else {}
     listed: list[list[int]] = []
-    for frame in tree.ancestors(robot.camera_frame):
+    for frame in frames:
         if frame in tree.moving:
             track = tree.moving[frame][1]
             if float(np.ptp(track.poses, axis=0).max()) > MOVES:  # a mount may be on /tf too
                 listed.append(track.times)
         elif frame in tree.computed and frame in joints:
             listed.append(robot.joints.times.get(joints[frame].follows, []))
+    return listed
+
+
+def states_period_s(robot: RobotStates) -> float:
+    """s between the states of what moves the camera, of the slowest; 0 where nothing does."""
+    listed = _stamps_of_moving(robot, robot.tree.ancestors(robot.camera_frame))
     return max((float(np.median(np.diff(t))) * 1e-9 for t in listed if len(t) > 1), default=0.0)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,12 @@ from dgeval.recording.checks import (
     part_check,
     unread_results,
 )
-from dgeval.recording.choices import accepted_flags
+from dgeval.recording.choices import (
+    RecordedChoices,
+    accepted_flags,
+    choice_span,
+    recorded_choices,
+)
 from dgeval.recording.closes import CloseKnown, close_of, gripper_tracks
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
@@ -99,6 +105,14 @@ class Trial:
     def damage(self) -> list[Damage]:
         """What is wrong with the recording; grows while it is read."""
         return self.opened.damage
+
+    @cached_property
+    def choices(self) -> RecordedChoices:
+        """What the robot recorded of its own choice in this trial, and none of another's."""
+        start_ns = self.spec.start_ns or self.pairs[0].t_ns
+        end_ns = max(self.spec.end_ns or 0, self.pairs[-1].t_ns)
+        marks = [event.t_ns for event in self.scan.events]
+        return recorded_choices(self.scan, choice_span(start_ns, end_ns, marks), self.robot)
 
     def event_ns(self, kind: EventKind) -> int | None:
         """Time of the first event of a kind in this trial, ns."""

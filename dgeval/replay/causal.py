@@ -24,7 +24,7 @@ from dgeval.perception.types import Model, Tracked
 from dgeval.planning.carried import Belief
 from dgeval.planning.control import Control, Controller, Grasps, HandState
 from dgeval.planning.recorded_grasps import RecordedGrasps
-from dgeval.recording.choices import Numbers, RecordedChoices, choice_span, recorded_choices
+from dgeval.recording.choices import Numbers, RecordedChoices
 from dgeval.recording.contract import CLOSE_EVENT, EXECUTE_TOPIC, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
 from dgeval.recording.messages import StampedPose
@@ -179,16 +179,8 @@ def grasp_source(robot: RobotStates, recorded: bool, config: GraspsConfig) -> st
     return "ffhnet" if known and robot.palm_frame is not None else "none"
 
 
-def choices_of(trial: Trial) -> RecordedChoices:
-    """What the robot recorded of its own choice in a trial, and none of another trial's."""
-    start_ns = trial.spec.start_ns or trial.pairs[0].t_ns
-    end_ns = max(trial.spec.end_ns or 0, trial.pairs[-1].t_ns)
-    marks = [event.t_ns for event in trial.scan.events]
-    return recorded_choices(trial.scan, choice_span(start_ns, end_ns, marks), trial.robot)
-
-
 def _controller(trial: Trial, config: Config) -> Controller:
-    recorded = choices_of(trial)
+    recorded = trial.choices
     source = grasp_source(trial.robot, bool(recorded.times), config.grasps)
     grasps: Grasps | None = None
     if source == "recorded" and not recorded.times:

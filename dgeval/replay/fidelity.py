@@ -22,7 +22,7 @@ from dgeval.planning.control import Control
 from dgeval.recording.contract import COMMAND_TOPIC, MASK_TOPIC, TARGET_TOPIC, VELOCITY_TOPIC
 from dgeval.recording.images import decode_image
 from dgeval.recording.trials import Trial
-from dgeval.replay.causal import Step, choices_of, grasp_source, recorded_decisions
+from dgeval.replay.causal import Step, grasp_source, recorded_decisions
 
 LAST_S, LEAST_VALUES = 1.0, 10
 MOST = 0.9  # quantile of the errors in the last second that must be within the bounds; ours
@@ -98,7 +98,7 @@ class Compared:
         self._targets = _in_order([(p.t_ns, p.pose) for p in scan.poses.get(TARGET_TOPIC, [])])
         self._velocities = _in_order(scan.twists.get(VELOCITY_TOPIC, []))
         self._commands = _in_order(scan.twists.get(COMMAND_TOPIC, []))
-        self._choices = choices_of(trial)
+        self._choices = trial.choices
         source = grasp_source(trial.robot, bool(self._choices.times), config.grasps)
         self._chooses = source == "ffhnet" and config.pipeline != "vfas"
         own = recorded_decisions(self._choices, source, config)

@@ -9,7 +9,7 @@ from dgeval.config import PIPELINES, Config
 from dgeval.paper_values import CHOICE, CONTROL, PERCEPTION, departure_note
 from dgeval.perception.trackers import tracker_named
 from dgeval.recording.trials import Trial
-from dgeval.replay.causal import Step, choices_of, grasp_source, seed_of
+from dgeval.replay.causal import Step, grasp_source, seed_of
 from dgeval.robots.hand import Hand
 
 FEW_FRAMES = 0.1  # share of the frames without the hand's shape, above which a note says it; ours
@@ -91,7 +91,7 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
     if config.pipeline == "vfas":
         notes += departure_note(config, ("vfas",))
         return notes + vfas_notes(config, seed_of(trial) is not None, trial.robot.hand)
-    source = grasp_source(trial.robot, bool(choices_of(trial).times), config.grasps)
+    source = grasp_source(trial.robot, bool(trial.choices.times), config.grasps)
     chosen = CHOICE if source == "ffhnet" else ()
     notes += departure_note(config, (*PERCEPTION, *chosen, *CONTROL))
     if source == "recorded":

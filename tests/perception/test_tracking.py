@@ -19,6 +19,7 @@ from dgeval.perception.pipeline import Perception
 from dgeval.perception.segmentation import points_of
 from dgeval.perception.trackers import model as model_tracker
 from dgeval.perception.trackers.model import ModelTracker, TrackingInput
+from dgeval.recording.choices import RecordedChoices
 from dgeval.recording.frame import Frame
 from dgeval.replay.causal import Step, replay
 from dgeval.robots.description import LinkShape
@@ -100,11 +101,12 @@ def run(frames: list[Frame], box: tuple[float, ...], *settings: str) -> list[Ste
             T_base_palm=lambda _: None,
             palm_stamps=lambda _: [],
         ),
-        spec=SimpleNamespace(bbox=box, bbox_time_ns=None, start_ns=None, end_ns=None),
+        spec=SimpleNamespace(bbox=box, bbox_time_ns=None),
         event_ns=lambda _: None,
         frames=lambda: iter(frames),
         pairs=[SimpleNamespace(t_ns=frame.t_ns) for frame in frames],
-        scan=SimpleNamespace(poses={}, numbers={}, times={}, events=[]),
+        scan=SimpleNamespace(poses={}),
+        choices=RecordedChoices(),
     )
     return list(replay(trial, load_config("dynamic", ("grasps.source=none", *settings))))
 
