@@ -192,6 +192,7 @@ def judge(job: Job) -> dict[str, Any]:
         return out
     out.update(
         truth=truth.failure_class,
+        seen=truth.observed_class,
         sub=truth.sub_cause,
         shift_s=truth.shift_s,
         near=list(truth.near),
@@ -218,6 +219,10 @@ def judge(job: Job) -> dict[str, Any]:
         unblamed = blamed.part if isinstance(blamed.part, Unknown) else None
         out[method] = {
             "class": known.failure_class if known else "unknown",
+            "seen": "unknown"
+            if isinstance(decision.observed_class, Unknown)
+            else decision.observed_class,
+            "p_seen": decision.observed,
             "p": decision.probabilities,
             "sub": known.sub_cause if known else None,
             "shift_s": known.shift_s if known else None,
@@ -273,6 +278,19 @@ def blame_table(rows: list[dict[str, Any]], method: str) -> str:
     )
 
 
+def crossed(truth: list[str], said: list[str]) -> list[str]:
+    """Lines of a confusion matrix."""
+    matrix = confusion(truth, said, [*CLASSES, "unknown"])[: len(CLASSES)]
+    return [
+        "| truth \\ said | " + " | ".join([*CLASSES, "unknown"]) + " |",
+        "|---|---|---|---|---|",
+        *(
+            f"| {c} | " + " | ".join(str(v) for v in row) + " |"
+            for c, row in zip(CLASSES, matrix.tolist(), strict=True)
+        ),
+    ]
+
+
 def scores(rows: list[dict[str, Any]], predicted: list[str]) -> str:
     """Right, abstained and macro-F1 of a row of a table; an abstention counts as wrong."""
     truth = [r["truth"] for r in rows]
@@ -326,19 +344,16 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
         f"| thresholds on the causal pass | {scores(failed, [r['causal'] for r in failed])} |"
     )
     for method in methods:
-        predicted = [r[method]["class"] for r in failed]
-        matrix = confusion([r["truth"] for r in failed], predicted, [*CLASSES, "unknown"])[:3]
-        lines += [
-            "",
-            f"{method}:",
-            "",
-            "| truth \\ said | " + " | ".join([*CLASSES, "unknown"]) + " |",
-            "|---|---|---|---|---|",
-        ]
-        lines += [
-            f"| {c} | " + " | ".join(str(v) for v in row) + " |"
-            for c, row in zip(CLASSES, matrix.tolist(), strict=True)
-        ]
+        lines += ["", f"{method}, by what would have had to be different:", ""]
+        lines += crossed([r["truth"] for r in failed], [r[method]["class"] for r in failed])
+        labelled = [r for r in failed if "seen" in r]
+        if labelled:
+            saw = [r["seen"] for r in labelled]
+            said = [r[method]["seen"] for r in labelled]
+            f1, least, most = macro_f1(saw, said, CLASSES)
+            lines += ["", f"{method}, as a person at the video would write:", ""]
+            lines += crossed(saw, said)
+            lines += ["", f"Macro-F1 {f1:.2f} [{least:.2f}, {most:.2f}]."]
         answered = [r for r in failed if r[method]["class"] != "unknown"]
         hits = [r for r in answered if r[method]["class"] == r["truth"]]
         p = np.array([max(r[method]["p"][:3]) for r in answered])
@@ -369,7 +384,7 @@ def tables(rows: list[dict[str, Any]], methods: tuple[str, ...]) -> str:
 def beside_the_paper(rows: list[dict[str, Any]], method: str, paper: dict[str, Any]) -> str:
     """Success by speed and object, and the failures' shares by truth and by verdict.
 
-    For a scenario that a paper has too.
+    For a scenario that a paper has too. Beside the paper stand the shares that count as it does.
     """
     ended = [
         {
@@ -382,23 +397,35 @@ def beside_the_paper(rows: list[dict[str, Any]], method: str, paper: dict[str, A
         for r in rows
     ]
     failed = [r for r in rows if "truth" in r]
+    columns = [[r.get("seen") for r in failed], [r[method].get("seen") for r in failed],
+               [r["truth"] for r in failed], [r[method]["class"] for r in failed]]  # fmt: skip
     lines = []
     for c in (*CLASSES, "unknown"):
         cells = []
-        for predicted in ([r["truth"] for r in failed], [r[method]["class"] for r in failed]):
+        for predicted in columns:
             k = predicted.count(c)
             low, high = wilson(k, len(predicted))
             cells.append(
                 f"{k}/{len(predicted)} = {k / max(len(predicted), 1):.0%} [{low:.0%}, {high:.0%}]"
             )
         share = paper["printed"]["failures"].get(c)
-        lines.append([c, *cells, "–" if share is None else f"{share} %"])
+        lines.append([c, "–" if share is None else f"{share} %", *cells])
     never = sum(not r["closed"] for r in rows)
     return "\n\n".join([
         *([rates(ended, paper, "speed")] if len({r["speed"] for r in rows}) > 1 else []),
         rates(ended, paper, "object"),
         f"{never} of {len(rows)} hands never closed.",
-        table(["failures", "by truth", f"by the {method}", "paper"], lines),
+        table(
+            [
+                "failures",
+                "paper",
+                "as seen, by truth",
+                f"as seen, by the {method}",
+                "what would have had to differ, by truth",
+                f"likewise, by the {method}",
+            ],
+            lines,
+        ),
     ])  # fmt: skip
 
 

@@ -58,6 +58,8 @@ class Thresholds:
     overlap_m: float = 0.002  # m, penetration of hand and object put back on its path
     consecutive: int = 2  # other close times in a row that must succeed: single ones are chance
     unstable_m: float = 0.02  # m; raised by at least this and dropped: unstable, else missed
+    inside_s: float = 0.06  # s, at a stretch, that an object between the fingers counts as there
+    inside_share: float = 0.5  # of how deep anything can reach between the fingers; ours
 
     def scaled(self, name: str, factor: float) -> Thresholds:
         """The same with one threshold moved."""
@@ -92,6 +94,26 @@ class Facts:
     overlap_m: float = 0.0
     put_back: bool | None = None
     free_pose: bool | None = None
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a person at the video sees of a failed grasp; offsets s from the close.
+
+    touched: hand or arm touched the object before the first closing motion (at all, if it never
+    came). displacement_m, displacement_deg: as in `Facts`. reach: of every control period from
+    where the hand first was near the object to 0.6 s after the close (offset s; how far the object
+    reached into the region that the hand closes in, as a share of how deep anything can; how deep
+    its centre was in it, m; both negative outside). met_s: when the closing fingers first touched
+    the object or, on nothing, came to rest; None without a close.
+    """
+
+    closed: bool
+    touched: bool
+    displacement_m: float
+    displacement_deg: float
+    reach: tuple[tuple[float, float, float], ...]
+    met_s: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,6 +254,38 @@ def classify(facts: Facts, thresholds: Thresholds | None = None) -> Verdict | Ne
     if shift is not None:  # 4
         return verdict("timing", shift)
     return verdict("imprecise_pose")  # 5
+
+
+def observed(seen: Seen, thresholds: Thresholds | None = None) -> FailureClass:
+    """The class that a person at the video would write, which is what the papers' tables count.
+
+    1. The object was touched and moved before the close → collision.
+    2. It was between the fingers for 60 ms at a stretch, and the hand never closed, or met it or
+       came to rest when it was not → timing.
+    3. Else imprecise pose.
+
+    Between the fingers: it reaches at least half as deep into the region that the hand closes in as
+    anything can. Of its centre that can't be asked: things that are held by their end have it
+    outside. Nothing here asks whether another close would have held.
+    """
+    th = thresholds or Thresholds()
+    moved = seen.displacement_m > th.moved_m or seen.displacement_deg > th.moved_deg
+    if seen.touched and moved:
+        return "collision"
+    longest, began = 0.0, None
+    for offset, share, _ in seen.reach:
+        if share < th.inside_share:
+            began = None
+            continue
+        began = offset if began is None else began
+        longest = max(longest, offset - began)
+    if longest < th.inside_s:
+        return "imprecise_pose"
+    if seen.met_s is None:
+        return "timing"
+    met_s = seen.met_s
+    share_then = min(seen.reach, key=lambda r: abs(r[0] - met_s))[1]
+    return "imprecise_pose" if share_then >= th.inside_share else "timing"
 
 
 def nearest_run(curve: tuple[tuple[float, bool], ...], consecutive: int) -> float | None:

@@ -6,8 +6,19 @@ is taken for a window, thresholds compared the wrong way round.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
-from dgeval.failure_rule import Facts, Needs, Thresholds, Verdict, classify
+from dgeval.failure_rule import (
+    HANDED_OVER,
+    Facts,
+    Needs,
+    Seen,
+    Thresholds,
+    Verdict,
+    classify,
+    observed,
+)
 
 FAIL = tuple((round(0.03 * k, 3), False) for k in range(-20, 21) if k)
 
@@ -101,3 +112,56 @@ def test_thresholds_are_settings() -> None:
     assert classify(facts(displacement_m=0.005), Thresholds()) == Verdict(
         "imprecise_pose", "missed"
     ), "strictly more than"
+
+
+# what a person at the video sees
+
+
+def seen(*inside: tuple[float, float], **changed: object) -> Seen:
+    """A close that comes to rest after 0.4 s on an object that is held by its end: it reaches just
+    half-way into the closing region in these stretches of s, and just not else; its centre is
+    outside all the time.
+    """
+    reach = tuple(
+        (at, 0.5 if any(a <= at <= b for a, b in inside) else 0.49, -0.03)
+        for at in (round(0.01 * k, 3) for k in range(-100, 61))
+    )
+    return replace(Seen(True, False, 0.0, 0.0, reach, 0.4), **changed)  # type: ignore[arg-type]
+
+
+def test_a_push_before_the_close_is_seen_as_a_collision_whatever_it_mattered() -> None:
+    """Catches a push without a touch, and a limit in other units or of another trial's kind."""
+    assert observed(seen(touched=True, displacement_m=0.0051)) == "collision"
+    assert observed(seen(touched=True, displacement_deg=5.1)) == "collision"
+    assert observed(seen(touched=True, displacement_m=0.0049)) == "imprecise_pose"
+    assert observed(seen(displacement_m=0.5)) == "imprecise_pose"
+    held = seen(touched=True, displacement_m=0.011)
+    assert observed(held, HANDED_OVER) == "imprecise_pose"
+    assert observed(replace(held, displacement_m=0.013), HANDED_OVER) == "collision"
+    assert observed(seen((-0.5, 0.6), touched=True, displacement_m=0.006)) == "collision"
+
+
+@pytest.mark.parametrize(
+    ("inside", "met_s", "named"),
+    [
+        (((-0.50, -0.40),), 0.40, "timing"),  # it was there, and had gone by
+        (((0.45, 0.60),), 0.20, "timing"),  # it came after the fingers had met it
+        (((-0.50, 0.60),), 0.40, "imprecise_pose"),  # there all along
+        (((-0.50, -0.40), (0.35, 0.41)), 0.40, "imprecise_pose"),
+        (((-0.50, -0.45),), 0.40, "imprecise_pose"),  # for 50 ms alone
+        (((-0.50, -0.45), (-0.43, -0.38)), 0.40, "imprecise_pose"),  # for 50 ms twice
+        ((), 0.40, "imprecise_pose"),
+    ],
+)
+def test_where_the_object_was_when_the_hand_closed(
+    inside: tuple[tuple[float, float], ...], met_s: float, named: str
+) -> None:
+    """Catches stretches that are added up, a stretch that is not asked for, and another moment."""
+    assert observed(seen(*inside, met_s=met_s)) == named
+
+
+def test_a_hand_that_never_closed_at_an_object_that_was_there() -> None:
+    """Catches a hand that waited for ever and is called imprecise."""
+    assert observed(seen((-0.5, -0.4), closed=False, met_s=None)) == "timing"
+    assert observed(seen(closed=False, met_s=None)) == "imprecise_pose"
+    assert observed(seen(closed=False, met_s=None, reach=())) == "imprecise_pose"

@@ -183,6 +183,6 @@ def test_how_many_closes_make_a_run_is_a_setting() -> None:
 def test_scaling_a_threshold_leaves_the_others(name: str) -> None:
     """Catches a sweep that moves more than the line it names."""
     plain, scaled = Thresholds(), Thresholds().scaled(name, 1.5)
-    for field in ("moved_m", "moved_deg", "overlap_m", "consecutive", "unstable_m"):
+    for field in Thresholds.__slots__:
         factor = 1.5 if field == name else 1.0
         assert getattr(scaled, field) == pytest.approx(factor * getattr(plain, field))

@@ -21,6 +21,7 @@ FACTS = (
     "outcome",
     "outcome_source",
     "failure_class",
+    "observed_class",
     "sub_cause",
     "blame",
     "gap_sided",

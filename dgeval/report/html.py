@@ -16,6 +16,7 @@ from dgeval import __version__
 from dgeval.pages import as_data_uri, template_environment
 from dgeval.report.figures import shares_figure, trial_figure
 from dgeval.report.summary import (
+    LABELLED,
     against_truth,
     failure_shares,
     read_truth,
@@ -64,14 +65,17 @@ def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
         if len(run.trials)
         else {}
     )
-    classes = failure_shares(run.trials) if len(run.trials) else []
+    classes = {}
+    if len(run.trials):
+        classes = {title: failure_shares(run.trials, c) for c, title in LABELLED.items()}
     figures = {
         f"success_by_{name}": shares_figure(f"success by {name}", s)
         for name, s in by.items()
         if len(s) > 1
     }
-    if any(s.k for s in classes):
-        figures["failure_classes"] = shares_figure("failures by cause", classes)
+    causes = next(iter(classes.values()), [])
+    if any(s.k for s in causes):
+        figures["failure_classes"] = shares_figure("failures by cause", causes)
     trials = []
     for record in run.trials.to_dict("records"):
         row: dict[str, Any] = {str(k): None if pd.isna(v) else v for k, v in record.items()}

@@ -27,6 +27,12 @@ LABELS = {
     "unknown": "unknown",
 }
 
+# the two labels of a failure, and what each counts
+LABELLED = {
+    "failure_class": "by what would have had to be different",
+    "observed_class": "as a person at the video would write",
+}
+
 
 @dataclass(frozen=True)
 class Share:
@@ -87,18 +93,22 @@ def success_by(trials: pd.DataFrame, column: str) -> list[Share]:
     return out
 
 
-def failure_shares(trials: pd.DataFrame) -> list[Share]:
-    """Share of each class among the failures, `unknown` included.
+def failure_shares(trials: pd.DataFrame, column: str = "failure_class") -> list[Share]:
+    """Share of each class among the failures, `unknown` included; none without the column.
 
-    The paper's count stands beside it where all trials are of one scenario that the paper reports.
+    column: failure_class, or observed_class. Beside the latter, which counts as the paper does,
+    stands the paper's count where all trials are of one scenario that the paper reports.
     """
+    if column not in trials:
+        return []
     failed = trials[trials["outcome"] == "failure"]
     scenarios = trials["scenario"].dropna().unique()
-    table = published().get(scenarios[0], {}).get("failures") if len(scenarios) == 1 else None
+    counts_alike = column == "observed_class" and len(scenarios) == 1
+    table = published().get(scenarios[0], {}).get("failures") if counts_alike else None
     out = []
     for c in (*CLASSES, "unknown"):
         paper = f"{table[c]}/{sum(table.values())}" if table and c in table else None
-        out.append(share(LABELS[c], int((failed["failure_class"] == c).sum()), len(failed), paper))
+        out.append(share(LABELS[c], int((failed[column] == c).sum()), len(failed), paper))
     return out
 
 
@@ -140,11 +150,35 @@ def read_truth(paths: list[Path]) -> dict[str, dict[str, Any]]:
     return out
 
 
+@dataclass(frozen=True)
+class Scored:
+    """One label of the failures, by verdict and by truth.
+
+    column: failure_class or observed_class. rows: of each true class, how often each of `columns`
+    was said. f1, f1_given: macro-F1 with its interval, `unknown` counted as wrong, and where a
+    class is given; None where there is nothing to count.
+    """
+
+    column: str
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, list[int]], ...]
+    right: Share
+    abstained: Share
+    f1: tuple[float, float, float] | None
+    f1_given: tuple[float, float, float] | None
+    by_gap: tuple[Share, ...]
+
+    @property
+    def shares(self) -> list[Share]:
+        return [self.right, self.abstained, *self.by_gap]
+
+
 def against_truth(trials: pd.DataFrame, truth: dict[str, dict[str, Any]]) -> dict[str, Any] | None:
     """Score the verdicts against truth, the simulator's verdicts by trial id.
 
-    Accuracy of the outcome; for the failures a confusion matrix with `unknown` as a column,
-    macro-F1, the share without a class, and accuracy by blind gap. None where no trial has a truth.
+    Accuracy of the outcome; for the failures each label that the truth holds. None where no trial
+    has a truth.
     """
     scored = [(r, truth[r["trial"]]) for r in trials.to_dict("records") if r["trial"] in truth]
     if not scored:
@@ -153,28 +187,25 @@ def against_truth(trials: pd.DataFrame, truth: dict[str, dict[str, Any]]) -> dic
         (r["outcome"], t["outcome"]) for r, t in scored if r["outcome"] in ("success", "failure")
     ]
     failed = [(r, t) for r, t in scored if t["outcome"] == "failure"]
-    predicted = [
-        str(r["failure_class"]) if r["outcome"] == "failure" else "no failure" for r, _ in failed
-    ]
-    true = [str(t["failure_class"]) for _, t in failed]
-    columns = (*CLASSES, "unknown", "no failure")
-    matrix = confusion(true, predicted, columns)[: len(CLASSES)]
-    classified = [(a, b) for a, b in zip(true, predicted, strict=True) if b in CLASSES]
-    out: dict[str, Any] = {
+    return {
         "n": len(scored),
         "outcome": share("outcome", sum(a == b for a, b in decided), len(decided)),
-        "columns": [LABELS.get(c, c) for c in columns],
-        "rows": [(LABELS[c], row) for c, row in zip(CLASSES, matrix.tolist(), strict=True)],
-        "right": share(
-            "class, where one is given", sum(a == b for a, b in classified), len(classified)
-        ),
-        "abstained": share("no class given", sum(b not in CLASSES for b in predicted), len(failed)),
-        "f1": macro_f1(true, predicted, CLASSES) if failed else None,
-        "f1_given": macro_f1([a for a, _ in classified], [b for _, b in classified], CLASSES)
-        if classified
-        else None,
-        "by_gap": [],
+        "labels": [
+            _scored(column, title, failed)
+            for column, title in LABELLED.items()
+            if all(t.get(column) for _, t in failed) and column in trials
+        ],
     }
+
+
+def _scored(column: str, title: str, failed: list[tuple[dict[Any, Any], dict[str, Any]]]) -> Scored:
+    """One label of the failures (row, truth): confusion, macro-F1, and accuracy by blind gap."""
+    predicted = [str(r[column]) if r["outcome"] == "failure" else "no failure" for r, _ in failed]
+    true = [str(t[column]) for _, t in failed]
+    columns = (*CLASSES, "unknown", "no failure")
+    matrix = confusion(true, predicted, columns)[: len(CLASSES)]
+    given = [(a, b) for a, b in zip(true, predicted, strict=True) if b in CLASSES]
+    by_gap = []
     for sided, name in (
         ("none", "no gap"),
         ("one", "gap, seen before only"),
@@ -183,5 +214,15 @@ def against_truth(trials: pd.DataFrame, truth: dict[str, dict[str, Any]]) -> dic
         rows = zip(failed, true, predicted, strict=True)
         group = [(a, b) for (r, _), a, b in rows if r["gap_sided"] == sided and b in CLASSES]
         if group:
-            out["by_gap"].append(share(name, sum(a == b for a, b in group), len(group)))
-    return out
+            by_gap.append(share(name, sum(a == b for a, b in group), len(group)))
+    return Scored(
+        column,
+        title,
+        tuple(LABELS.get(c, c) for c in columns),
+        tuple((LABELS[c], row) for c, row in zip(CLASSES, matrix.tolist(), strict=True)),
+        share("class, where one is given", sum(a == b for a, b in given), len(given)),
+        share("no class given", sum(b not in CLASSES for b in predicted), len(failed)),
+        macro_f1(true, predicted, CLASSES) if failed else None,
+        macro_f1([a for a, _ in given], [b for _, b in given], CLASSES) if given else None,
+        tuple(by_gap),
+    )

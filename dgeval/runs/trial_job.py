@@ -332,11 +332,15 @@ def trial_row(
 
 
 def _other_word(given: str | None, judgement: Judgement) -> list[str]:
-    """A note where an operator's word for the cause is another than the verdict's."""
-    found = judgement.row.failure_class
-    if given is None or found in (None, "unknown", given):
+    """A note where an operator's word for the cause is neither of the verdict's two classes."""
+    row = judgement.row
+    if (
+        given is None
+        or given == row.observed_class
+        or row.failure_class in (None, "unknown", given)
+    ):
         return []
-    return [f"an operator says {given}, the verdict {found}"]
+    return [f"an operator says {given}, the verdict {row.failure_class}"]
 
 
 def _hindsight_rows(hindsight: Hindsight) -> list[dict[str, Any]]:

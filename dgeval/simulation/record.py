@@ -215,12 +215,14 @@ def verdict_document(
         "success_rule": SUCCESS_RULE,
         "engine": ENGINE,
         "failure_class": truth.failure_class,
+        "observed_class": truth.observed_class,
         "sub_cause": truth.sub_cause,
         "shift_s": truth.shift_s,
         "curve": truth.curve,
         "facts": None
         if truth.facts is None
         else {k: v for k, v in asdict(truth.facts).items() if k != "curve"},
+        "seen": None if truth.seen is None else asdict(truth.seen),
         "pose_error_m": truth.pose_error_m,
         "foreign_contact": truth.foreign_contact,
         "t_first_contact_s": truth.t_first_contact,

@@ -17,15 +17,18 @@ from dgeval.failure_rule import (
     FailureClass,
     Needs,
     Outcome,
+    Seen,
     Thresholds,
     Verdict,
     classify,
+    observed,
     outcome_without_close,
 )
-from dgeval.geometry import Array, increment, rotation_angle
+from dgeval.geometry import Array, increment, invert, rotation_angle, transform
 from dgeval.simulation.trial import Run
 from dgeval.simulation.world import Snapshot, World, matrix_of, twin_path
 from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, TRUTH_STEP
+from dgeval.worlds.closing_region import closing_region, points_within
 from dgeval.worlds.hand_and_object import CloseAndLift
 
 COARSE = 3  # times the tick, between close times far from the real one; ours
@@ -41,7 +44,7 @@ class Truth:
     curve: (offset s, success) of every close time tried, the real one at 0. pose_error_m: smallest
     palm offset at the close that would have worked; None if none worked or none was tried. near:
     thresholds whose shift by 20 % changes the class. twin: rows (pose 7 in MuJoCo's order, velocity
-    6) per control period.
+    6) per control period. observed_class, seen: of a failure, what a person at the video sees.
     """
 
     outcome: Outcome
@@ -55,6 +58,8 @@ class Truth:
     t_first_contact: float | None
     near: tuple[str, ...]
     twin: Array = field(repr=False)
+    observed_class: FailureClass | None = None
+    seen: Seen | None = None
 
 
 class Prover:
@@ -93,10 +98,7 @@ class Prover:
         success, are 90 ms apart; where one of these succeeds alone, its neighbours at 30 ms are
         tried too.
         """
-        ticks = self.run.ticks
-        near = [
-            k for k in range(self.end + 1) if (d := ticks[k].distance) is not None and d < NEAR_M
-        ]
+        near = self._near()
         if not near:
             return ()
         coarse = COARSE * TRUTH_STEP
@@ -120,12 +122,51 @@ class Prover:
                 )
         out = [((k - self.end) * CONTROL_S, tried[k]) for k in sorted(tried)]
         if self.run.close is not None:
-            tick = ticks[self.end]
+            tick = self.run.ticks[self.end]
             for offset, snapshot in self._held_open(
                 tick.snapshot, tick.twist, coarse if succeeded else TRUTH_STEP
             ):
                 out.append((offset, self.closes(snapshot, tick.velocity)))
         return tuple((round(offset, 3), success) for offset, success in out)
+
+    def _near(self) -> list[int]:
+        """The periods up to the close in which the hand is known to be near the object."""
+        ticks = self.run.ticks
+        return [
+            k for k in range(self.end + 1) if (d := ticks[k].distance) is not None and d < NEAR_M
+        ]
+
+    def seen(self, metres: Array, degrees: Array) -> Seen:
+        """What a person at the video sees.
+
+        metres, degrees: off the undisturbed path, by control period up to the close.
+        """
+        w, run, near = self.world, self.run, self._near()
+        region = closing_region(w.model, w.gripper, run.preshape)
+        filled = np.concatenate([np.zeros((1, 3)), points_within(w.model, w.object_geoms)])
+        last = self.end
+        if run.close is not None:
+            last = min(run.close + round(AFTER_CLOSE_S / CONTROL_S), len(run.ticks) - 1)
+        reach, met_s = [], None
+        for k in range(near[0] if near else self.end, last + 1):
+            w.restore(run.ticks[k].snapshot)
+            depth = region.depth(transform(invert(w.T_base_hand()) @ w.T_base_object(), filled))
+            since_s = round((k - self.end) * CONTROL_S, 3)
+            share = float(depth.max()) / region.deepest
+            reach.append((since_s, round(share, 4), round(float(depth[0]), 5)))
+            if run.close is None or k < run.close or met_s is not None:
+                continue
+            if w.fingers_touch() or since_s >= w.gripper.close_s:
+                met_s = since_s
+        touched = any(tick.contact for tick in run.ticks[: self.end + 1])
+        return Seen(
+            run.close is not None,
+            touched,
+            float(metres.max()),
+            float(degrees.max()),
+            tuple(reach),
+            met_s,
+        )
 
     def nearest(self) -> float:
         """Least distance of hand and object, m, of those that the run kept; NEAR_M for more."""
@@ -259,6 +300,7 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
         contact_s=(displaced[0] - 1 - prover.end) * CONTROL_S if displaced and contacts else None,
         height_m=run.finish.height if run.finish is not None else 0.0,
     )
+    seen = prover.seen(metres, degrees)
     verdict, facts = _decide(prover, facts, thresholds, contacts)
     changed = []
     if near:
@@ -284,6 +326,8 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
         t_contact,
         tuple(changed),
         prover.twin,
+        observed(seen, thresholds),
+        seen,
     )
 
 

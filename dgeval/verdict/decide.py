@@ -51,6 +51,9 @@ SMALL = 2.0
 CLEARLY, CLEARLY_ALL = 1.5, 2.0
 
 
+Probabilities = tuple[float, float, float, float]
+
+
 @dataclass(frozen=True)
 class Draw:
     """What one draw of place, turn, friction and mass says of a failure.
@@ -77,6 +80,8 @@ class Draws:
 
     blind: probability that the instrument tells nothing of the trial, however its draws agree.
     softened: how often a draw was made again with half of the force, which pressed too deep.
+    seen: of all draws, also of those not asked, what a person at the video sees
+    (`failure_rule.observed`), and the draw's weight.
     """
 
     asked: tuple[Draw, ...]
@@ -84,18 +89,28 @@ class Draws:
     instrument: str
     blind: float = 0.0
     softened: int = 0
+    seen: tuple[tuple[FailureClass, float], ...] = ()
 
 
 @dataclass(frozen=True)
 class Decision:
     """Class and sub-cause, or why they are unknown.
 
-    probabilities: imprecise pose, collision, timing, unknown; their sum is 1.
+    probabilities: imprecise pose, collision, timing, unknown; their sum is 1. observed: likewise of
+    the class that a person at the video would write.
     """
 
     answer: Verdict | Unknown
-    probabilities: tuple[float, float, float, float]
+    probabilities: Probabilities
     draws: Draws
+    observed: Probabilities = (0.0, 0.0, 0.0, 1.0)
+
+    @property
+    def observed_class(self) -> FailureClass | Unknown:
+        """What a person at the video would write."""
+        if self.observed[3] > 0.0:
+            return Unknown("the draws do not agree on what a person would see")
+        return CLASSES[int(np.argmax(self.observed))]
 
     @property
     def chosen(self) -> list[Draw]:
@@ -133,23 +148,30 @@ def too_uncertain(sd_m: float) -> Unknown | None:
 
 def decide(draws: Draws, min_probability: float) -> Decision:
     """Steps 3 to 5. min_probability: below which the answer is unknown."""
-    p = (1 - draws.blind) * vote(draws.asked) + draws.blind / len(CLASSES)
+    asked = [(d.verdict.failure_class, d.weight) for d in draws.asked]
+    p = (1 - draws.blind) * vote(asked) + draws.blind / len(CLASSES)
     best = int(np.argmax(p))
     doubt = doubt_of(draws, CLASSES[best], float(p[best]), min_probability)
-    if doubt is not None:
-        halved = (float(p[0]) / 2, float(p[1]) / 2, float(p[2]) / 2, 0.5)
-        return Decision(doubt, halved, draws)
+    seen = (1 - draws.blind) * vote(draws.seen) + draws.blind / len(CLASSES)
+    unclear = draws.share_reproduced < TRUSTED or float(seen.max()) < min_probability
+    answer = lead_of(draws.asked, CLASSES[best]) if doubt is None else doubt
     return Decision(
-        lead_of(draws.asked, CLASSES[best]), (float(p[0]), float(p[1]), float(p[2]), 0.0), draws
+        answer, _probabilities(p, doubt is not None), draws, _probabilities(seen, unclear)
     )
 
 
-def vote(asked: Sequence[Draw]) -> Array:
-    """Step 3: shares (3,) of the classes; draws by weight, and PRIOR draws for each class."""
-    weights = np.array([d.weight for d in asked])
-    votes = [
-        float(weights[[d.verdict.failure_class == c for d in asked]].sum()) + PRIOR for c in CLASSES
-    ]
+def _probabilities(p: Array, doubted: bool) -> Probabilities:
+    """The shares (3,) of the classes, and the share of `unknown`: half where they are doubted."""
+    unknown = 0.5 if doubted else 0.0
+    return (*(float(share) * (1 - unknown) for share in p), unknown)  # type: ignore[return-value]
+
+
+def vote(said: Sequence[tuple[FailureClass, float]]) -> Array:
+    """Step 3: shares (3,) of the classes; draws by weight, and PRIOR draws for each class.
+
+    said: class and weight of each draw.
+    """
+    votes = [sum(weight for name, weight in said if name == c) + PRIOR for c in CLASSES]
     return np.asarray(np.array(votes) / sum(votes))
 
 

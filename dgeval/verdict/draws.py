@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from dgeval.determinism import generator
-from dgeval.failure_rule import HANDED_OVER, Thresholds, Unknown
+from dgeval.failure_rule import HANDED_OVER, Thresholds, Unknown, observed
 from dgeval.robots.described_hand import FORCE_N, LEAST_FORCE_N, DescribedHand
 from dgeval.robots.hand import Hand
 from dgeval.verdict.decide import (
@@ -70,7 +70,8 @@ def draws_of(scene: Scene, method: str, draws: int, seed: int) -> Draws | Unknow
     thresholds = HANDED_OVER if scene.held else Thresholds()
     try:
         if method == "geometry":
-            return Draws((geometric_draw(scene, thresholds),), 1.0, method)
+            draw, seen = geometric_draw(scene, thresholds)
+            return Draws((draw,), 1.0, method, seen=((observed(seen, thresholds), 1.0),))
         return _twins(scene, draws, seed, thresholds)
     except ValueError as error:  # no points, a cloud that spans no volume, or that MuJoCo refuses
         return Unknown(str(error))
@@ -132,7 +133,12 @@ def _twins(scene: Scene, draws: int, seed: int, thresholds: Thresholds) -> Draws
         raise ValueError("the physics of this hand at this object is unstable in every draw")
     share = sum(reproduced for _, reproduced in probes) / len(probes)
     blind = BLIND_DESCRIBED if described else 0.0
-    return Draws(tuple(asked), share, "twin", blind, softened)
+    best = float(weights.max())
+    seen = tuple(
+        (observed(twin.seen, thresholds), float(w) / best)
+        for (twin, _), w in zip(probes, weights, strict=True)
+    )
+    return Draws(tuple(asked), share, "twin", blind, softened, seen)
 
 
 def _pace(scene: Scene, rng: np.random.Generator, k: int) -> Scene:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dgeval.failure_rule import Facts, Needs, Thresholds, Verdict, classify
+from dgeval.failure_rule import Facts, Needs, Seen, Thresholds, Verdict, classify
 from dgeval.geometry import Array, rotation_angle
 from dgeval.verdict.decide import Draw
 from dgeval.verdict.evidence import Scene
@@ -21,8 +21,12 @@ PUSHED_M, PUSHED_DEG = 0.003, 3.0
 NEAR_M = 0.15  # m; farther than this from its grasp centre a hand pushes nothing
 
 
-def geometric_draw(scene: Scene, thresholds: Thresholds) -> Draw:
-    """The failure rule where a close works if the object's middle lies in the grasp."""
+def geometric_draw(scene: Scene, thresholds: Thresholds) -> tuple[Draw, Seen]:
+    """The failure rule where a close works if the object's middle lies in the grasp.
+
+    Also what a person at the video sees, if that ball is the region that the hand closes in and the
+    middle the whole object: it is between the fingers where it is in the grasp.
+    """
     end = scene.reference
     centre = (scene.points.min(axis=0) + scene.points.max(axis=0)) / 2
     T = scene.hand.T_support_hand
@@ -68,4 +72,20 @@ def geometric_draw(scene: Scene, thresholds: Thresholds) -> Draw:
         ok = bool(np.linalg.norm(places[end] - free[end]) < REACH_M)
         facts = replace(facts, put_back=ok, free_pose=ok)
     assert isinstance(answer, Verdict)
-    return Draw(answer, facts, True, 1.0, {}, facts.contact_s, None)
+    far = np.linalg.norm(places - real, axis=1)
+    # a closing hand goes with the object: all stays what it is at the close
+    periods = range(end + 1 + (0 if scene.close is None else round(AFTER_CLOSE_S / CONTROL_S)))
+    inside = REACH_M - far
+    reach = [
+        ((k - end) * CONTROL_S, float(inside[min(k, end)] > 0), float(inside[min(k, end)]))
+        for k in periods
+    ]
+    seen = Seen(
+        facts.closed,
+        len(pushed) > 0,
+        facts.displacement_m,
+        facts.displacement_deg,
+        tuple(reach),
+        None if scene.close is None else 0.0,
+    )
+    return Draw(answer, facts, True, 1.0, {}, facts.contact_s, None), seen

@@ -47,6 +47,11 @@ class VerdictRow:
     p_timing: float | None = None
     p_unknown: float | None = None
     sub_cause: str | None = None
+    observed_class: str | None = None
+    p_observed_imprecise_pose: float | None = None
+    p_observed_collision: float | None = None
+    p_observed_timing: float | None = None
+    p_observed_unknown: float | None = None
     blame: str | None = None
     p_blame: float | None = None
     belief_source: str | None = None
@@ -149,9 +154,14 @@ def _decision(
 
 
 def class_columns(decision: Decision) -> dict[str, Any]:
-    """Class, sub-cause and probabilities of a decision, by column."""
-    names = ("p_imprecise_pose", "p_collision", "p_timing", "p_unknown")
-    columns: dict[str, Any] = dict(zip(names, decision.probabilities, strict=True))
+    """Both classes, sub-cause and probabilities of a decision, by column."""
+    names = ("imprecise_pose", "collision", "timing", "unknown")
+    both = (("p_", decision.probabilities), ("p_observed_", decision.observed))
+    columns: dict[str, Any] = {
+        f"{start}{name}": p for start, ps in both for name, p in zip(names, ps, strict=True)
+    }
+    seen = decision.observed_class
+    columns["observed_class"] = "unknown" if isinstance(seen, Unknown) else seen
     known = not isinstance(decision.answer, Unknown)
     columns["failure_class"] = decision.answer.failure_class if known else "unknown"  # type: ignore[union-attr]
     columns["sub_cause"] = decision.answer.sub_cause if known else None  # type: ignore[union-attr]

@@ -13,17 +13,19 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from dgeval.failure_rule import NEAR_M, Facts, Needs, Thresholds, Unknown, Verdict, classify
+from dgeval.failure_rule import NEAR_M, Facts, Needs, Seen, Thresholds, Unknown, Verdict, classify
 from dgeval.geometry import Array, invert, rotation_vector
 from dgeval.robots.described_hand import DescribedHand
 from dgeval.verdict.decide import Draw
 from dgeval.verdict.evidence import Scene
 from dgeval.worlds.closing import AFTER_CLOSE_S, CONTROL_S, SUBSTEPS
+from dgeval.worlds.closing_region import closing_region, points_within
 from dgeval.worlds.hand_and_object import CloseAndLift, HandOnHandle
 from dgeval.worlds.objects import ObjectModel
 from dgeval.worlds.scene import TIMESTEP, build
 
-STEP = 6  # control periods between the close times tried; half of it around lone successes
+# control periods between the close times tried; half of it around lone successes, and for `reach`
+STEP = 6
 # m, at which a free pose is looked for: the truth's 10 mm, and more where the place is uncertain
 FREE_STEPS_M = 0.003, 0.006, 0.010, 0.014
 # m from the grasp's centre to the object's, where the window of close times begins
@@ -42,7 +44,7 @@ class Approach:
     """The recorded approach in physics.
 
     states: by tick. off_m, off_deg: furthest off the undisturbed path. contact, link: tick and
-    solid of the first contact that moves the object.
+    solid of the first contact that moves the object. reach: as in `Seen`.
     """
 
     states: dict[int, Array]
@@ -50,6 +52,7 @@ class Approach:
     off_deg: float
     contact: int | None
     link: str | None
+    reach: tuple[tuple[float, float, float], ...]
 
 
 class Twin(HandOnHandle):
@@ -245,31 +248,61 @@ class Twin(HandOnHandle):
         Sets `mismatch`, rad or m: how far the closing fingers are from where they were recorded,
         and `strayed`, m: how far the object, with the hand at it, is from where it was seen. Both
         are 0 where that is not known. `pressed`, m: how deep the closing hand went into the object,
-        0 where it was in it before.
+        0 where it was in it before. `seen`: what a person at the video sees in this draw.
         """
         self.mismatch = self.strayed = self.pressed = 0.0
         scene, end = self.scene, self.scene.reference
         self._approached = None
+        self.seen = Seen(scene.close is not None, False, 0.0, 0.0, (), None)
         if self._first is None:
             return True
-        self._approached = self._approach(self._first, end)
+        self._region = closing_region(self.model, self.gripper, scene.hand.fingers[end])
+        filled = points_within(self.model, self.object_geoms)
+        self._filled = np.concatenate([np.zeros((1, 3)), filled])
+        made = self._approached = self._approach(self._first, end)
+        self.seen = replace(
+            self.seen,
+            touched=made.contact is not None,
+            displacement_m=made.off_m,
+            displacement_deg=made.off_deg,
+            reach=made.reach,
+        )
         self._height = 0.0
-        if scene.close is None:
-            return True
-        self.restore(self._approached.states[end])
-        closing, fingers = self.close(end), []
+        return scene.close is None or not self._closes_as_recorded(made, end)
+
+    def _closes_as_recorded(self, made: Approach, end: int) -> bool:
+        """Whether the recorded close holds the object; sets what `approach` says of the close."""
+        self.restore(made.states[end])
+        closing, fingers = self.close(end), list[Array]()
+        reach, met_s = list(made.reach), None
         clear = self.penetration() < CLEAR_M
         while closing.success is None:
+            if met_s is None and (self.fingers_touch() or closing.since_s >= self.gripper.close_s):
+                met_s = min(closing.since_s, AFTER_CLOSE_S)
             closing.step()
+            if (len(fingers) + 1) % (STEP // 2) == 0 and closing.since_s <= AFTER_CLOSE_S:
+                reach.append(self._reach(closing.since_s))
             fingers.append(self.data.qpos[self.driven].copy())
             if clear:
                 self.pressed = max(self.pressed, self.penetration())
+        self.seen = replace(self.seen, reach=tuple(reach), met_s=met_s)
         self._height = closing.height
-        n = min(len(fingers), len(scene.hand.closing))
+        recorded = self.scene.hand.closing
+        n = min(len(fingers), len(recorded))
         if n:
-            apart = np.abs(np.array(fingers[n // 2 : n]) - scene.hand.closing[n // 2 : n])
+            apart = np.abs(np.array(fingers[n // 2 : n]) - recorded[n // 2 : n])
             self.mismatch = float(np.sqrt(np.mean(np.minimum(apart, MISMATCH_MOST) ** 2)))
-        return not closing.success
+        return bool(closing.success)
+
+    def _reach(self, since_s: float) -> tuple[float, float, float]:
+        """How far the object now reaches into the region that the hand closes in, as in `Seen`."""
+        pose = self.data.qpos[self.object : self.object + 7]
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, pose[3:])
+        T = self.T_base_hand()
+        points = (self._filled @ R.reshape(3, 3).T + pose[:3] - T[:3, 3]) @ T[:3, :3]
+        depth = self._region.depth(points)
+        return round(since_s, 3), float(depth.max()) / self._region.deepest, float(depth[0])
 
     def without(self, error: Array) -> bool:
         """Whether the approach displaced by -error, m (3,), lifts the object; after `approach`."""
@@ -397,6 +430,7 @@ class Twin(HandOnHandle):
         self.reset_to(first)
         states: dict[int, Array] = {}
         off = np.zeros((end - first + 1, 2))
+        reach: list[tuple[float, float, float]] = []
         contact, link, reached = None, None, False
         strayed: list[float] = []
         for k in range(first, end + 1):
@@ -406,6 +440,8 @@ class Twin(HandOnHandle):
                 pose[:2] = free[:2]
             elif resync and self._presenter is None:
                 strayed += self._resync(k)
+            if (end - k) % (STEP // 2) == 0:
+                reach.append(self._reach((k - end) * CONTROL_S))
             off[k - first, 0] = np.linalg.norm(pose[:3] - free[:3])
             dot = abs(float(pose[3:7] @ free[3:7]))
             off[k - first, 1] = (
@@ -426,7 +462,8 @@ class Twin(HandOnHandle):
                 self._put_hand(b, *self.twist(k + 1))
         if resync and strayed:
             self.strayed = float(np.mean(strayed))
-        return Approach(states, float(off[:, 0].max()), float(off[:, 1].max()), contact, link)
+        furthest_m, furthest_deg = off.max(axis=0)
+        return Approach(states, float(furthest_m), float(furthest_deg), contact, link, tuple(reach))
 
     def _later(self, state: Array, end: int) -> list[tuple[float, bool]]:
         """The approach gone on with at constant twist and open fingers after the close."""

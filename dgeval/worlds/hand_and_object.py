@@ -83,6 +83,9 @@ class HandAndObject:
         self.object_dof = int(model.joint("object").dofadr[0])
         solids = [model.geom(g) for g in range(model.ngeom)]
         self.is_hand = np.array([s.contype[0] == 2 for s in solids])
+        self.is_finger = self.is_hand & np.array(
+            [s.name.split("_")[0] in gripper.fingers for s in solids]
+        )
         self.is_object = np.array([s.name.startswith("object_") for s in solids])
         self.hand_geoms: list[int] = np.flatnonzero(self.is_hand).tolist()
         self.object_geoms: list[int] = np.flatnonzero(self.is_object).tolist()
@@ -147,6 +150,13 @@ class HandAndObject:
         k = int(rows[np.argmin(self.data.contact.dist[both])])
         geom = next(int(g) for g in pairs[k] if self.is_hand[g])
         return Touch(True, other, max(0.0, -float(self.data.contact.dist[k])), self._names[geom])
+
+    def fingers_touch(self) -> bool:
+        """Whether a finger touches the object."""
+        pairs = self.data.contact.geom
+        if not len(pairs):
+            return False
+        return bool((self.is_finger[pairs].any(axis=1) & self.is_object[pairs].any(axis=1)).any())
 
     def penetration(self, anything: bool = False) -> float:
         """Deepest penetration of the hand with the object, m; 0 without contact.

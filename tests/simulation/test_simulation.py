@@ -100,6 +100,7 @@ def test_close_too_early_is_timing(campaign: Campaign) -> None:
     )
     assert proved.shift_s is not None
     assert 0.1 < proved.shift_s < 0.6
+    assert proved.observed_class == "imprecise_pose", "it was never between the fingers"
 
 
 @pytest.mark.slow
@@ -117,6 +118,10 @@ def test_close_too_late_after_drifting_off_is_timing_not_collision(campaign: Cam
     assert (proved.failure_class, proved.sub_cause) == ("timing", "late")
     assert proved.facts is not None
     assert proved.facts.displacement_m > 0.02
+    assert proved.observed_class == "collision", "that the push did not matter can't be seen"
+    assert proved.seen is not None
+    assert max(share for _, share, _ in proved.seen.reach) > 0.9
+    assert proved.seen.met_s == pytest.approx(0.4), "the fingers close on nothing"
 
 
 @pytest.mark.slow
@@ -125,6 +130,7 @@ def test_offset_that_no_close_time_can_save_is_imprecise(campaign: Campaign) -> 
     proved = truth(campaign, plan("rubiks_cube", Faults(grasp_offset=(0, 0.03, 0, 0, 0, 0))))
     assert proved.failure_class == "imprecise_pose"
     assert not any(success for _, success in proved.curve)
+    assert proved.observed_class == "imprecise_pose"
     assert proved.pose_error_m is not None
     assert 0.008 <= proved.pose_error_m <= 0.03, (
         "more than a good grasp forgives, no more than what was put in"
@@ -138,6 +144,7 @@ def test_sweep_that_knocks_the_object_off_its_path_is_collision(campaign: Campai
     assert (proved.failure_class, proved.sub_cause) == ("collision", "displaced")
     assert proved.facts is not None
     assert proved.facts.put_back
+    assert proved.observed_class == "collision"
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from dgeval.failure_rule import (
     HANDED_OVER,
     Facts,
     FailureClass,
+    Seen,
     Thresholds,
     Unknown,
     Verdict,
@@ -38,6 +39,10 @@ PRIOR = 0.15  # draws, of each class
 SHIFTED: tuple[FailureClass, str] = ("timing", "early")
 MISSED: tuple[FailureClass, str] = ("imprecise_pose", "missed")
 PUSHED: tuple[FailureClass, str] = ("collision", "displaced")
+# what a person sees: it closed beside the object, pushed it by 8 mm, closed after it had gone by
+SEEN_BESIDE = Seen(True, False, 0.0, 0.0, ((0.0, -0.3, -0.05),), 0.0)
+SEEN_PUSHED = replace(SEEN_BESIDE, touched=True, displacement_m=0.008)
+SEEN_LATE = replace(SEEN_BESIDE, reach=((-0.2, 0.9, 0.0), (-0.1, 0.9, 0.0), (0.0, -0.3, -0.05)))
 
 
 def scene_with(hand: Array, **changed: object) -> Scene:
@@ -82,6 +87,7 @@ class GivenDraw:
     mismatch: float = 0.0
     strayed: float = 0.0
     pressed_by_n: float = 0.0
+    seen: Seen = SEEN_BESIDE
 
 
 @dataclass
@@ -132,6 +138,7 @@ class GivenTwin:
     def approach(self) -> bool:
         self.mismatch, self.strayed = self.draw.mismatch, self.draw.strayed
         self.pressed = self.draw.pressed_by_n * self.force
+        self.seen = self.draw.seen
         return self.draw.reproduced
 
     def ask(self, thresholds: Thresholds, reproduced: bool, weight: float) -> Draw:
@@ -288,6 +295,50 @@ def test_of_an_unknown_class_the_probabilities_are_halved(physics: Replace) -> N
     assert len(decision.draws.asked) == 7
     assert decision.probabilities == pytest.approx((*(p / 2 for p in shares(2, 0, 5)), 0.5))
     assert sum(decision.probabilities) == pytest.approx(1)
+
+
+# what a person sees
+
+
+@pytest.mark.parametrize(
+    ("seen", "named"),
+    [(SEEN_BESIDE, "imprecise_pose"), (SEEN_PUSHED, "collision"), (SEEN_LATE, "timing")],
+)
+def test_what_a_person_sees_is_voted_by_all_draws(
+    physics: Replace, seen: Seen, named: FailureClass
+) -> None:
+    """Catches votes of the draws that are asked alone, without weights, or of the other label."""
+    physics(*[GivenDraw(SHIFTED, 0.1, seen=seen)] * 11, GivenDraw(SHIFTED, 0.1))
+    decision = decided(still(), "twin", 3, 0, 0.6)
+    assert class_of(decision) == "timing"
+    assert len(decision.draws.asked) == 3
+    assert decision.observed_class == named
+    votes = dict.fromkeys(CLASSES, 0.0)
+    votes[named] += 11
+    votes["imprecise_pose"] += 1
+    assert decision.observed == pytest.approx((*shares(*votes.values()), 0.0))
+
+
+def test_draws_that_see_different_things_leave_it_unknown(physics: Replace) -> None:
+    """Catches a label that is given by a majority of one, and one of an instrument that is not
+    believed.
+    """
+    each = [GivenDraw(MISSED, seen=s) for s in (SEEN_BESIDE, SEEN_PUSHED)]
+    physics(*each * 6)
+    decision = decided(still(), "twin", 3, 0, 0.6)
+    assert class_of(decision) == "imprecise_pose"
+    assert isinstance(decision.observed_class, Unknown)
+    assert decision.observed == pytest.approx((*(p / 2 for p in shares(6, 6, 0)), 0.5))
+    physics(GivenDraw(MISSED, reproduced=False, seen=SEEN_PUSHED))
+    assert isinstance(decided(still(), "twin", 3, 0, 0.6).observed_class, Unknown)
+
+
+def test_a_held_object_that_gives_way_is_not_seen_pushed(physics: Replace) -> None:
+    """Catches a handover that is labelled by a belt's thresholds."""
+    physics(GivenDraw(MISSED, seen=SEEN_PUSHED))
+    assert decided(still(), "twin", 3, 0, 0.6).observed_class == "collision"
+    held = replace(still(), held=True)
+    assert decided(held, "twin", 3, 0, 0.6).observed_class == "imprecise_pose"
 
 
 # classes

@@ -251,8 +251,9 @@ def test_the_facts_told_are_those_of_a_draw_of_the_class() -> None:
 MEASURED = {"gap_s": 0.4, "gap_sided": "two", "speed_measured": pytest.approx(0.1)}
 NOTHING: dict[str, Any] = dict.fromkeys(
     ("failure_class", "p_imprecise_pose", "p_collision", "p_timing", "p_unknown", "sub_cause",
-     "blame", "p_blame", "belief_source", "gap_s", "gap_sided", "speed_measured",
-     "closing_source")
+     "observed_class", "p_observed_imprecise_pose", "p_observed_collision", "p_observed_timing",
+     "p_observed_unknown", "blame", "p_blame", "belief_source", "gap_s", "gap_sided",
+     "speed_measured", "closing_source")
 )  # fmt: skip
 
 
@@ -296,6 +297,11 @@ NO_CLASS = {
     "p_collision": 0.0,
     "p_timing": 0.0,
     "p_unknown": 1.0,
+    "observed_class": "unknown",
+    "p_observed_imprecise_pose": 0.0,
+    "p_observed_collision": 0.0,
+    "p_observed_timing": 0.0,
+    "p_observed_unknown": 1.0,
 }
 
 
@@ -348,6 +354,7 @@ def test_the_row_of_a_failure(stages: Replace) -> None:
     given = replace(
         decided(draw("collision", "displaced", displacement_m=0.02)),
         probabilities=(0.2, 0.7, 0.1, 0.0),
+        observed=(0.6, 0.1, 0.3, 0.0),
     )
     stages(decision=given)
     found = judge(trial(), hindsight(pushed_ns=START + 2 * SECOND), CONFIG, 0)
@@ -357,7 +364,9 @@ def test_the_row_of_a_failure(stages: Replace) -> None:
         "outcome": "failure", "outcome_source": "inferred", "evidence": text,
         "closing_source": "known",
         "failure_class": "collision", "p_imprecise_pose": 0.2, "p_collision": 0.7, "p_timing": 0.1,
-        "p_unknown": 0.0, "sub_cause": "displaced", "blame": "tracking",
+        "p_unknown": 0.0, "observed_class": "imprecise_pose", "p_observed_imprecise_pose": 0.6,
+        "p_observed_collision": 0.1, "p_observed_timing": 0.3, "p_observed_unknown": 0.0,
+        "sub_cause": "displaced", "blame": "tracking",
         "p_blame": 0.6, "belief_source": "recorded",
     }  # fmt: skip
 

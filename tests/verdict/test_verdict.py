@@ -221,6 +221,7 @@ def test_twin_finds_a_close_that_came_too_early(tmp_path: Path) -> None:
     assert (said.failure_class, said.sub_cause) == ("timing", "early")
     assert said.shift_s is not None
     assert said.shift_s > 0
+    assert decision.observed_class == "imprecise_pose"
 
 
 @pytest.mark.slow
@@ -228,6 +229,18 @@ def test_twin_finds_an_offset_that_no_close_time_saves(tmp_path: Path) -> None:
     true, said = verdict_on(tmp_path, Faults(grasp_offset=(0, 0.05, 0, 0, 0, 0)), "gelatin_box")
     assert true == "imprecise_pose"
     assert class_of(said) == "imprecise_pose"
+    assert said.observed_class == "imprecise_pose"
+
+
+@pytest.mark.slow
+def test_twin_sees_a_push_that_did_not_matter(tmp_path: Path) -> None:
+    """Catches the two labels taken for each other: the box is pushed by centimetres, but what would
+    have helped is an earlier close.
+    """
+    faults = Faults(evaluator_bias=0.25, velocity_bias=(0, 0.05, 0), close_shift=1.0)
+    true, said = verdict_on(tmp_path, faults, "pudding_box")
+    assert (true, class_of(said), said.observed_class) == ("timing", "timing", "collision")
+    assert said.observed[1] > 0.8
 
 
 @pytest.mark.slow
@@ -693,6 +706,13 @@ def test_shares_leave_out_what_did_not_end() -> None:
     assert (apple.k, apple.n, apple.published) == (1, 3, "12/12")
     [speed] = success_by(trials, "speed")
     assert speed.published == "5/10"
+    # the paper counts what is seen: its counts stand beside that label alone
+    seen = trials.assign(observed_class=[None, "collision", None, "timing"])
+    assert all(s.published is None for s in failure_shares(seen))
+    assert [(s.k, s.published) for s in failure_shares(seen, "observed_class")] == [
+        (0, "16/34"), (1, "12/34"), (1, "6/34"), (0, None),
+    ]  # fmt: skip
+    assert failure_shares(trials, "observed_class") == []
     assert [(s.name, s.k, s.n) for s in failure_shares(trials)][2:] == [
         ("timing", 1, 2),
         ("unknown", 1, 2),
