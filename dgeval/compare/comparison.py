@@ -107,6 +107,8 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
             f"{old.folder} and {new.folder} have no trial in common",
             hint="trials are paired by their id",
         )
+    # a fact that was added since the older run is in one of the tables alone
+    stated = [fact for fact in FACTS if all(fact in table for table in rows)]
     differences: list[TrialDifference] = []
     facts: list[tuple[str, str, Any, Any]] = []
     before, after = [], []
@@ -116,7 +118,7 @@ def compare_runs(old: Run, new: Run, alpha: float = ALPHA) -> Comparison:
     )
     for trial in trials:
         a, b = rows[0].loc[trial], rows[1].loc[trial]
-        facts += [(trial, fact, a[fact], b[fact]) for fact in FACTS if not _equal(a[fact], b[fact])]
+        facts += [(trial, f, a[f], b[f]) for f in stated if not _equal(a[f], b[f])]
         if same_digests:
             continue
         hindsight = old.hindsight(trial)

@@ -27,9 +27,10 @@ TURN = np.pi  # rad to each side from which a joint without limits is drawn
 
 @dataclass(frozen=True)
 class Arm:
-    """The joints from the base to the palm in order, including fixed ones."""
+    """The joints from the link `base` to the palm in order, including fixed ones."""
 
     joints: tuple[Joint, ...]
+    base: str
 
     @property
     def movable(self) -> list[Joint]:
@@ -187,19 +188,20 @@ def _search(
     return q, False
 
 
-def arm_of(description: Description, base: str, palm: str) -> Arm | None:
-    """The arm between the links `base` and `palm`.
+def arm_of(description: Description, base: str, palm: str) -> Arm | str:
+    """The arm from `base` to `palm`, or in words why there is none.
 
-    None if the description has no such chain, if it has no movable joint, or if a joint in it
-    follows another one.
+    Where the description does not know `base`, as a world around the robot, from its root on.
     """
     chain: list[Joint] = []
     link = palm
-    while link != base:
-        joint = description.joints.get(link)
-        if joint is None or joint.follows != joint.name:
-            return None
+    while link != base and link in description.joints:
+        joint = description.joints[link]
+        if joint.follows != joint.name:
+            return f"its joint {joint.name!r} follows another one"
         chain.append(joint)
         link = joint.parent
-    arm = Arm(tuple(reversed(chain)))
-    return arm if arm.movable else None
+    if not chain:
+        return f"the description has no joint that carries {palm!r}"
+    arm = Arm(tuple(reversed(chain)), link)
+    return arm if arm.movable else f"nothing moves between {link!r} and {palm!r}"

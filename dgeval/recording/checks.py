@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dgeval.config import ClockConfig
 from dgeval.recording.camera_poses import far_from_palm
 from dgeval.recording.check import PART_CHECK, Check
+from dgeval.recording.choices import unplaced
 from dgeval.recording.containers.container import lacks_its_log
 from dgeval.recording.containers.opening import missing_parts
 from dgeval.recording.contract import (
@@ -150,6 +151,8 @@ def failed_checks(
         mend = f"name the one that grasps: --set frames.palm={robot.hands[0]}"
         failed.append(Check("hands", what, mend))
     failed += _poses(scan, robot, window)
+    mend = "it is not used; record that transform, or publish it in the base"
+    failed += [Check("choices", what, mend) for what in unplaced(scan, robot)]
     failed += [
         Check("frozen", what, "what happens from there on is not seen; look at the driver")
         for what in frozen_streams(scan, roles, window, reader)

@@ -13,7 +13,9 @@ from dgeval.recording.contract import (
     GRASP_SCORE_TOPIC,
     GRASP_TOPIC,
     SCORE_TOPIC,
+    SEED_TOPIC,
 )
+from dgeval.recording.messages import StampedPose
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.scan import Scan
 
@@ -59,12 +61,14 @@ def recorded_choices(found: Scan, span: tuple[int, int], robot: RobotStates) -> 
     """The choices of one trial, within a span of time, ns, see `choice_span`.
 
     A grasp counts from its stamp on, but not before it was logged, where both are of one clock;
-    without a stamp of the recording's clock, from when it was logged on. One that is given in
-    another frame than the base is brought there.
+    without a stamp of the recording's clock, from when it was logged on. One in a frame
+    that nothing connects to the base is left out (`unplaced`).
     """
     grasps: list[tuple[int, Array]] = []
     poses = found.poses.get(GRASP_TOPIC, [])
     logged = found.times[GRASP_TOPIC].log_ns if GRASP_TOPIC in found.times else []
+    if found.recorder_clock is not None:
+        logged = [found.recorder_clock.stamp_ns(t_ns) for t_ns in logged]
     if len(logged) != len(poses):
         logged = [pose.t_ns for pose in poses]
     apart = [log_ns - pose.t_ns for pose, log_ns in zip(poses, logged, strict=True)]
@@ -72,11 +76,8 @@ def recorded_choices(found: Scan, span: tuple[int, int], robot: RobotStates) -> 
     for pose, log_ns in zip(poses, logged, strict=True):
         is_stamped = span[0] <= pose.t_ns <= span[1]
         t_ns = max(pose.t_ns, log_ns) if one_clock else pose.t_ns if is_stamped else log_ns
-        T = matrix_from_pose(pose.pose)
-        if pose.parent and robot.base_frame and pose.parent != robot.base_frame:
-            T_base_parent = robot.tree.lookup(robot.base_frame, pose.parent, t_ns)
-            T = T if T_base_parent is None else T_base_parent @ T
-        if span[0] <= t_ns <= span[1]:
+        T = in_base(pose, t_ns, robot)
+        if T is not None and span[0] <= t_ns <= span[1]:
             grasps.append((t_ns, T))
     grasps.sort(key=lambda grasp: grasp[0])
     return RecordedChoices(
@@ -84,6 +85,30 @@ def recorded_choices(found: Scan, span: tuple[int, int], robot: RobotStates) -> 
         tuple(T for _, T in grasps),
         *(_numbers(found, name, span) for name in (GRASP_SCORE_TOPIC, SCORE_TOPIC, EXECUTE_TOPIC)),
     )
+
+
+def in_base(pose: StampedPose, t_ns: int, robot: RobotStates) -> Array | None:
+    """A recorded pose as T_base_x (4, 4) at a time, ns; None where its frame is not known then.
+
+    Without a frame it is taken as of the base. Without a base everything is of the camera.
+    """
+    T, base = matrix_from_pose(pose.pose), robot.base_frame or robot.camera_frame
+    if not pose.parent or pose.parent == base:
+        return T
+    T_base_parent = robot.tree.lookup(base, pose.parent, t_ns)
+    return None if T_base_parent is None else T_base_parent @ T
+
+
+def unplaced(found: Scan, robot: RobotStates) -> list[str]:
+    """Of each topic of palm poses that holds none that can be brought to the base: in words why."""
+    base = robot.base_frame or robot.camera_frame
+    out = []
+    for topic in (GRASP_TOPIC, SEED_TOPIC):
+        poses = found.poses.get(topic, [])
+        if poses and all(in_base(pose, pose.t_ns, robot) is None for pose in poses):
+            frame = poses[0].parent
+            out.append(f"{topic} is given in {frame!r}, and nothing says where that is in {base!r}")
+    return out
 
 
 def choice_span(start_ns: int, end_ns: int, marks: Sequence[int]) -> tuple[int, int]:

@@ -26,6 +26,7 @@ from dgeval.recording.contract import (
     EXECUTE_TOPIC,
     GRASP_SCORE_TOPIC,
     IMAGE_METADATA,
+    OWN_PREFIXES,
     ROBOT_DESCRIPTION,
     SCORE_TOPIC,
 )
@@ -317,11 +318,16 @@ def _place_streams(found: Scan, streams: dict[StreamAt, Array]) -> None:
 
 
 def _onto_the_stamps_clock(found: Scan) -> None:
-    """Bring what has only a log time onto the clock of the stamps, where the two are apart."""
+    """Bring what has only a log time onto the clock of the stamps, where the two are apart.
+
+    What the robot says of its own beliefs tells no clock: its stamps may be of either.
+    """
     stamped = {
         name: times.arrays()
         for name, times in found.times.items()
-        if found.opened.topics[name].type in STAMPED and not name.endswith("static")
+        if found.opened.topics[name].type in STAMPED
+        and not name.endswith("static")
+        and not name.startswith(OWN_PREFIXES)
     }
     stamped = {name: (header, log) for name, (header, log) in stamped.items() if header.any()}
     found.recorder_clock = clock = recorder_clock(stamped)
@@ -338,6 +344,16 @@ def _onto_the_stamps_clock(found: Scan) -> None:
     found.events = [
         replace(e, t_ns=clock.stamp_ns(e.t_ns)) if e.is_log_time else e for e in found.events
     ]
+    for topic in [n for n in found.times if n.startswith(OWN_PREFIXES)]:
+        header, log = found.times[topic].arrays()
+        by_recorder = len(header) == len(log) > 0 and header.any()
+        if by_recorder and abs(np.median(log - header)) < 0.5e9 * abs(clock.apart_s):
+            if topic in found.poses:
+                poses = found.poses[topic]
+                found.poses[topic] = [replace(p, t_ns=clock.stamp_ns(p.t_ns)) for p in poses]
+            if topic in found.twists:
+                twists = found.twists[topic]
+                found.twists[topic] = [(clock.stamp_ns(t_ns), twist) for t_ns, twist in twists]
     found.numbers = {
         topic: [(clock.stamp_ns(t_ns), value) for t_ns, value in listed]
         for topic, listed in found.numbers.items()

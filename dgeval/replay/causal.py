@@ -17,14 +17,14 @@ import numpy as np
 
 from dgeval.config import Config, GraspsConfig
 from dgeval.errors import Place, UsageError
-from dgeval.geometry import Array, matrix_from_pose
+from dgeval.geometry import Array
 from dgeval.perception.pipeline import Perceived, Perception
 from dgeval.perception.target import find_target
 from dgeval.perception.types import Model, Tracked
 from dgeval.planning.carried import Belief
 from dgeval.planning.control import Control, Controller, Grasps, HandState
 from dgeval.planning.recorded_grasps import RecordedGrasps
-from dgeval.recording.choices import Numbers, RecordedChoices
+from dgeval.recording.choices import Numbers, RecordedChoices, in_base
 from dgeval.recording.contract import CLOSE_EVENT, EXECUTE_TOPIC, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
 from dgeval.recording.messages import StampedPose
@@ -210,7 +210,10 @@ def recorded_decisions(recorded: RecordedChoices, source: str, config: Config) -
     source: of the grasps, as `grasp_source` says.
     """
     if config.execution.decision == "auto":
-        taken = source == "recorded" and config.execution.c_e is None
+        # they speak of the grasps as the robot had them: with another threshold or later, it would
+        # have decided otherwise
+        is_own = config.execution.c_e is None and not config.schedule.grasps_latency_s
+        taken = source == "recorded" and is_own
         return recorded.decisions if taken and recorded.decisions.times else None
     return recorded.decisions if config.execution.decision == "recorded" else None
 
@@ -233,21 +236,24 @@ def _belief(frame: Frame, perceived: Perceived, T_base_camera: Array) -> Belief 
     )
 
 
-def recorded_seed(seeds: list[StampedPose], start_ns: int, end_ns: int) -> Array | None:
+def recorded_seed(
+    seeds: list[StampedPose], start_ns: int, end_ns: int, robot: RobotStates
+) -> Array | None:
     """T_base_seed (4, 4): another planner's proposal; None where none is recorded.
 
     The newest at the trial's first frame, else the first one up to its end.
     """
-    during = sorted((p for p in seeds if p.t_ns <= end_ns), key=lambda p: p.t_ns)
-    before = [p for p in during if p.t_ns <= start_ns]
-    chosen = before[-1] if before else during[0] if during else None
-    return None if chosen is None else matrix_from_pose(chosen.pose)
+    placed = [(p.t_ns, in_base(p, p.t_ns, robot)) for p in seeds if p.t_ns <= end_ns]
+    during = sorted(((t, T) for t, T in placed if T is not None), key=lambda seed: seed[0])
+    before = [T for t, T in during if t <= start_ns]
+    return before[-1] if before else during[0][1] if during else None
 
 
 def seed_of(trial: Trial) -> Array | None:
     """The recorded seed of a trial, see `recorded_seed`."""
     end_ns = trial.spec.end_ns or trial.pairs[-1].t_ns
-    return recorded_seed(trial.scan.poses.get(SEED_TOPIC, []), trial.pairs[0].t_ns, end_ns)
+    seeds = trial.scan.poses.get(SEED_TOPIC, [])
+    return recorded_seed(seeds, trial.pairs[0].t_ns, end_ns, trial.robot)
 
 
 def _planner(trial: Trial, config: Config) -> VfasGrasps | None:

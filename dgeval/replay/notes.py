@@ -78,6 +78,8 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
             f"the hand's shape is not known in {counts.no_hand} of {counts.frames} frames, for "
             "want of joint states or poses: there it was not taken out of the images"
         )
+    if config.pipeline == "dynamic" and trial.spec.scenario == "handover":
+        notes.append("pipeline dynamic, as configured, though the manifest says handover")
     if config.pipeline == "handover" and trial.spec.scenario == "handover":
         own = ", ".join(
             f"{section}.{key} = {getattr(getattr(config, section), key)}"
@@ -97,6 +99,10 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
     if source == "recorded":
         notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
     elif source == "ffhnet":
+        from dgeval.planning.model_grasps import recorded_arm  # imports torch
+
+        if isinstance(arm := recorded_arm(trial.robot), str):
+            notes.append(f"no grasp was refused for the arm's reach, which is not known: {arm}")
         notes += ffhnet_notes(config)
         if counts.no_grasp:
             from dgeval.planning.grasps import MOST_TRIED  # imports torch

@@ -255,7 +255,7 @@ def _arm(world: World) -> Arm:
     hand = world.gripper
     description = load_description(robot_urdf(hand.T_hand_camera, hand), "the arm", (), 0.01)
     arm = arm_of(description, "base_link", hand.palm_frame or "palm_link")
-    assert arm is not None
+    assert isinstance(arm, Arm)
     return arm
 
 

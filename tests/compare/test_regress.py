@@ -133,6 +133,17 @@ def test_equal_digests_need_no_frames(before: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_run_from_before_a_fact_was_added_is_compared(before: Run, tmp_path: Path) -> None:
+    """Catches a baseline of an older version that ends the gate in an internal error."""
+    shutil.copytree(before.folder, tmp_path / "b")
+    table = tmp_path / "b" / "trials.parquet"
+    pd.read_parquet(table).drop(columns="observed_class").to_parquet(table)
+    older = read_run(tmp_path / "b")
+    assert compare_runs(older, before).conclusion == "identical"
+    assert compare_runs(before, older).conclusion == "identical"
+
+
+@pytest.mark.slow
 def test_last_bits_are_within_tolerance_and_more_is_not(before: Run, tmp_path: Path) -> None:
     def slightly(frames: pd.DataFrame) -> None:
         frames["feature_px"] += 1e-9

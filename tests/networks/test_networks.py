@@ -10,6 +10,7 @@ import os
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,10 @@ from dgeval.planning.grasps import (
     propose,
 )
 from dgeval.planning.hand_overlap import standing_points
-from dgeval.planning.reachability import arm_of
+from dgeval.planning.model_grasps import ModelGrasps, recorded_arm
+from dgeval.planning.reachability import Arm, arm_of
+from dgeval.recording.messages import JointSample
+from dgeval.recording.robot import JointTrack
 from dgeval.robots.diana7 import LOWER, UPPER, ArmKinematics
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.robots.dlr_hit_hand import T_hand_camera
@@ -483,7 +487,7 @@ def test_arm_of_the_description_is_the_arm() -> None:
     description = load_description(robot_urdf(T_hand_camera, FIVE_FINGERS), "arm", (), 0.012)
     palm = next(link for link in description.joints if "palm" in link)
     arm = arm_of(description, "base_link", palm)
-    assert arm is not None
+    assert isinstance(arm, Arm)
     kinematics = ArmKinematics(FIVE_FINGERS.T_hand_palm)
     rng = np.random.default_rng(1)
     np.testing.assert_allclose([j.lower for j in arm.movable], LOWER, atol=1e-6)
@@ -502,6 +506,41 @@ def test_arm_of_the_description_is_the_arm() -> None:
     far = np.eye(4)
     far[:3, 3] = (2.5, 0, 0.3)
     assert arm.solve(far, np.zeros(7)) is None
+
+
+def test_an_arm_that_stands_in_a_world_is_asked_in_its_own_frame() -> None:
+    """Catches an arm that reaches everything because the base's frame is not in its description,
+    and a reason that is not told.
+    """
+    text = robot_urdf(T_hand_camera, FIVE_FINGERS)
+    description = load_description(text, "arm", (), 0.012)
+    palm = next(link for link in description.joints if "palm" in link)
+    arm = arm_of(description, "world", palm)
+    assert isinstance(arm, Arm)
+    assert arm.base == "base_link"
+    turned = np.diag([-1.0, -1.0, 1.0, 1.0])
+    turned[:3, 3] = (1.0, 2.0, 0.5)
+    tree = SimpleNamespace(
+        lookup=lambda target, source, t: {("base_link", "world"): turned}.get((target, source))
+    )
+    track = JointTrack.of(
+        [JointSample(0, {j.name: q for j, q in zip(arm.movable, HOME, strict=True)})], 0
+    )
+    robot: Any = SimpleNamespace(
+        description=description, base_frame="world", palm_frame=palm, tree=tree, joints=track
+    )
+    assert recorded_arm(robot) == arm
+    grasps = ModelGrasps(robot, Config())
+    near = arm.palm(HOME)[0]
+    assert grasps._reaches(invert(turned) @ near)
+    assert not grasps._reaches(near)
+    robot.tree = SimpleNamespace(lookup=lambda *_: None)
+    assert recorded_arm(robot) == "nothing says where its base 'base_link' is in 'world'"
+    robot.joints = JointTrack()
+    assert recorded_arm(robot) == "its joint 'arm_1' is not recorded"
+    assert arm_of(description, "base_link", "tool") == (
+        "the description has no joint that carries 'tool'"
+    )
 
 
 def test_what_is_not_in_the_paper_is_named() -> None:

@@ -19,6 +19,7 @@ from dgeval.planning.recorded_grasps import RecordedGrasps
 from dgeval.recording.choices import Numbers, RecordedChoices
 from dgeval.recording.robot import JointTrack, RobotStates
 from dgeval.recording.transforms import TransformTree
+from dgeval.replay.causal import recorded_decisions
 from dgeval.robots.hand import hand_named
 
 HAND = hand_named("dlr_hit_hand")
@@ -171,6 +172,20 @@ def test_the_robots_own_decision_counts_where_it_is_recorded() -> None:
     assert [p.t_ns for p in controller.run(states) if p.execute] == [40_000_000, 50_000_000]
     later = Controller(RecordedGrasps(given, config), HAND, config, Numbers((90_000_000,), (1.0,)))
     assert [p.execute for p in later.run(states)] == [None] * len(states), "absent is not no"
+
+
+@pytest.mark.parametrize(
+    ("settings", "count"),
+    [((), True), (("execution.c_e=0.5",), False), (("schedule.grasps_latency_s=0.1",), False),
+     (("execution.c_e=0.5", "execution.decision=recorded"), True)],
+)  # fmt: skip
+def test_decisions_speak_of_the_grasps_as_the_robot_had_them(
+    settings: tuple[str, ...], count: bool
+) -> None:
+    """Fails where grasps that come later, or another threshold, change nothing."""
+    given = recorded(decisions=Numbers((0,), (1.0,)))
+    found = recorded_decisions(given, "recorded", load_config("dynamic", settings))
+    assert found == (given.decisions if count else None)
 
 
 def test_the_metric_is_that_of_the_grasps_own_score() -> None:

@@ -73,6 +73,7 @@ def checks_of(
     scan: Any = SimpleNamespace(
         times={"/c": TopicTimes(stamps, stamps), "/d": TopicTimes(stamps, stamps)},
         opened=SimpleNamespace(topics={}),
+        poses={},
         images={"/d": ImageHead("16UC1", 4, 4, "c", "")},
         events=[],
     )

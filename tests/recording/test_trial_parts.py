@@ -129,6 +129,7 @@ def test_a_grasp_has_the_newest_score_by_then() -> None:
         poses={"/dgeval/belief/grasp": [StampedPose(t, "base", "", pose) for t in at]},
         numbers={"/dgeval/belief/score": [(1_000_900_000, 0.2), (1_002_000_000, 0.9)]},
         times={},
+        recorder_clock=None,
     )
     robot: Any = SimpleNamespace(base_frame="base")
     choices = recorded_choices(scan, (0, 9_000_000_000), robot)
@@ -214,6 +215,7 @@ def test_a_choice_of_another_trial_or_clock_is_none_of_this_one() -> None:
             poses={"/dgeval/belief/grasp": [StampedPose(t, "base", "", pose) for t in stamps]},
             times={"/dgeval/belief/grasp": SimpleNamespace(log_ns=logged)},
             numbers={"/dgeval/belief/execute": [(80 * second, 1.0), (101 * second, 0.0)]},
+            recorder_clock=None,
         )
         choices = recorded_choices(scan, (90 * second, 110 * second), robot)
         assert choices.decisions.at(100 * second) is None

@@ -52,6 +52,16 @@ def test_notes_name_stand_ins_and_what_was_left_out() -> None:
     assert trial.notes == ("of the recording",)
 
 
+def test_a_handover_that_is_replayed_as_something_else_is_told() -> None:
+    """Catches the parameters of a belt used for what someone holds, in silence."""
+    trial = trial_of()
+    trial = replace(trial, spec=replace(trial.spec, scenario="handover"))
+    told = "pipeline dynamic, as configured, though the manifest says handover"
+    for pipeline, is_told in (("dynamic", True), ("handover", False)):
+        config = load_config(pipeline, ("grasps.source=none",))
+        assert (told in trial_notes(trial, config, FrameCounts(frames=9))) == is_told
+
+
 def test_a_complete_trial_has_only_the_notes_of_its_parts() -> None:
     """Catches notes of losses where nothing was lost, and of a hand that is known."""
     config = load_config("dynamic", ("grasps.source=none",))
@@ -111,7 +121,11 @@ def test_ffhnet_is_named_with_its_weights() -> None:
     """Catches the shipped weights taken for the published ones, and a departure left out."""
     config = load_config("dynamic", ("grasps.source=ffhnet",))
     notes = trial_notes(trial_of(), config, FrameCounts())
-    assert notes[1:-1] == [f"{COLOUR}, grasps.max_overlap = 0.004 (ours)"]
+    assert notes[1:-1] == [
+        f"{COLOUR}, grasps.max_overlap = 0.004 (ours)",
+        "no grasp was refused for the arm's reach, which is not known: its joint 'arm_1' is not "
+        "recorded",
+    ]
     own = "grasps by FFHNet with dgeval's own weights, closing above a score of"
     assert notes[-1] == f"{own} 0.4, the threshold of these weights"
     few = trial_notes(trial_of(), config, FrameCounts(frames=9, no_grasp=4))
