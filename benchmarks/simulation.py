@@ -122,7 +122,7 @@ def stability(results: list[dict[str, Any]], n: int, name: str) -> str:
             plan = plan_trial(scenario, ten_objects(), v["seed"], v["index"])
             for k in range(3):
                 run, world = simulate(campaign, jittered(plan, k))
-                truth = prove(run, world, near=False)
+                truth = prove(run, world, labels_only=True)
                 classes[truth.failure_class or "success"] += 1
         rows.append([failure_class, str(3 * len(failures)), *(str(classes[k]) for k in KINDS)])
     return table(["class", "re-runs", *KINDS], rows)

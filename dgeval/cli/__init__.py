@@ -17,6 +17,7 @@ import typer  # noqa: E402
 from dgeval.cli import (  # noqa: E402
     compare,
     config_show,
+    evaluate,
     inspect,
     regress,
     replay,
@@ -42,6 +43,7 @@ app.command("view", epilog=view.EXAMPLES)(view.view)
 app.command("simulate", epilog=simulate.EXAMPLES)(simulate.simulate)
 app.command("compare", epilog=compare.EXAMPLES)(compare.compare)
 app.command("regress", epilog=regress.EXAMPLES)(regress.regress)
+app.command("evaluate", epilog=evaluate.EXAMPLES)(evaluate.evaluate)
 app.command("train", epilog=train.EXAMPLES)(train.train)
 app.add_typer(config_show.app, name="config")
 

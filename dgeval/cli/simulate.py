@@ -112,7 +112,7 @@ def simulate(
         format_,
         stranger,
     )
-    with _progress() as progress:
+    with campaign_progress() as progress:
         pairs = run_campaign(campaign, jobs, progress)
     differences = []
     if manifest is not None:
@@ -165,7 +165,7 @@ def _summary(pairs: Any, campaign: Any) -> None:
         typer.echo(f"truth: {campaign.out}/truth")
 
 
-def _progress() -> Any:
+def campaign_progress() -> Any:
     """A progress bar per phase where standard error is a terminal, else a line per trial."""
     from contextlib import contextmanager
 

@@ -60,7 +60,8 @@ class Campaign:
     indices: of the trials; None: the first `trials` of the scenario, or as many as its choice
     needs. meshes: folder of users' meshes. blame: also find the fault to blame. images: also
     record. format: of the recordings, mcap, bag or db3. stranger: record as a robot does that has
-    never heard of dgeval, into OUT/recordings.
+    never heard of dgeval, into OUT/recordings. labels_only: no other closes of a success, and not
+    which thresholds decide.
     """
 
     scenario: Scenario
@@ -73,6 +74,7 @@ class Campaign:
     images: bool = True
     format: str = "mcap"
     stranger: bool = False
+    labels_only: bool = False
 
     @property
     def recordings(self) -> Path:
@@ -116,6 +118,8 @@ class Campaign:
             inputs.append(self.format)
         if self.stranger:
             inputs.append("stranger")
+        if self.labels_only:
+            inputs.append("labels_only")
         if isinstance(hand := self.scenario.gripper, ImportedHand):
             inputs.append(hand.sha256)
         return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
@@ -261,7 +265,7 @@ def _prove(
 ) -> dict[str, Any]:
     seconds = {"physics": physics}
     start = time.perf_counter()
-    truth = prove(run, world)
+    truth = prove(run, world, labels_only=campaign.labels_only)
     seconds["truth"] = time.perf_counter() - start
     blamed = None
     if campaign.blame and truth.outcome == "failure":

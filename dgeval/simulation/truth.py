@@ -269,10 +269,12 @@ def _directions() -> list[Array]:
     ]
 
 
-def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bool = True) -> Truth:
+def prove(
+    run: Run, world: World, thresholds: Thresholds | None = None, labels_only: bool = False
+) -> Truth:
     """Outcome, class and evidence of a run.
 
-    near: also find which thresholds decide by less than 20 %.
+    labels_only: neither other closes of a success, nor which thresholds decide by less than 20 %.
     """
     if thresholds is None:
         thresholds = Thresholds() if world.presenter is None else HANDED_OVER
@@ -281,7 +283,7 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
     t_contact = contacts[0] * CONTROL_S if contacts else None
     foreign = any(t.foreign for t in run.ticks[: prover.end + 1])
     succeeded = run.finish is not None and run.finish.success
-    curve = prover.curve()
+    curve = () if succeeded and labels_only else prover.curve()
     if succeeded:
         return Truth(
             "success", None, None, None, curve, None, None, foreign, t_contact, (), prover.twin
@@ -303,7 +305,7 @@ def prove(run: Run, world: World, thresholds: Thresholds | None = None, near: bo
     seen = prover.seen(metres, degrees)
     verdict, facts = _decide(prover, facts, thresholds, contacts)
     changed = []
-    if near:
+    if not labels_only:
         for name in ("moved_m", "moved_deg", "overlap_m", "unstable_m"):
             for factor in (0.8, 1.2):
                 other, facts = _decide(prover, facts, thresholds.scaled(name, factor), contacts)

@@ -83,7 +83,7 @@ def plan(name: str, faults: Faults | None = None, **changed: float) -> Plan:
 
 def truth(campaign: Campaign, wanted: Plan) -> Truth:
     run, world = simulate(campaign, wanted)
-    return prove(run, world, near=False)
+    return prove(run, world, labels_only=True)
 
 
 # --- the rule of truth on constructed cases

@@ -208,7 +208,7 @@ def verdict_on(
     campaign = Campaign(load_scenario("failures"), 0, 1, tmp_path)
     run, world = simulate(campaign, Plan("t", thing, 0.08, 0.47, -0.2, 0.3, -0.2, faults, 5, 0))
     assert run.finish is None or not run.finish.success
-    truth = prove(run, world, near=False)
+    truth = prove(run, world, labels_only=True)
     return truth.failure_class, decided(modelled(run, world), draws, method)
 
 
@@ -620,7 +620,7 @@ def test_a_failed_handover_has_a_cause(tmp_path: Path) -> None:
     scene = modelled(run, world)
     assert scene.held
     said = decided(scene)
-    assert class_of(said) == prove(run, world, near=False).failure_class
+    assert class_of(said) == prove(run, world, labels_only=True).failure_class
 
 
 # numbers

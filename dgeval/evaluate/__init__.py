@@ -1,0 +1,1 @@
+"""Standing evaluations: the papers' experiments in simulation, beside the papers' own tables."""
