@@ -208,6 +208,9 @@ TRIALS: tuple[Column, ...] = (
     Column("target_source", "str", "", "bbox, recorded (marked in the log) or automatic", "trial"),
     Column("t_execute_ns", "int", "ns",
            "first control period in which the replay would have closed", "trial"),
+    Column("c_e", "float", "",
+           "score of the hand above which the replay closes; null where the robot's own decisions "
+           "count, or nothing is scored", "trial"),
     Column("t_close_ns", "int", "ns", "close command, or what was taken for it", "trial"),
     Column("close_source", "str", "", "event, manifest, command, joints, width or effort", "trial"),
     Column("closing_source", "str", "",

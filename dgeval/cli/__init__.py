@@ -22,6 +22,7 @@ from dgeval.cli import (  # noqa: E402
     regress,
     replay,
     report,
+    show,
     simulate,
     train,
     view,
@@ -39,6 +40,7 @@ app = typer.Typer(
 app.command("replay", epilog=replay.EXAMPLES)(replay.replay)
 app.command("report", epilog=report.EXAMPLES)(report.report)
 app.command("inspect", epilog=inspect.EXAMPLES)(inspect.inspect)
+app.command("show", epilog=show.EXAMPLES)(show.show)
 app.command("view", epilog=view.EXAMPLES)(view.view)
 app.command("simulate", epilog=simulate.EXAMPLES)(simulate.simulate)
 app.command("compare", epilog=compare.EXAMPLES)(compare.compare)

@@ -23,6 +23,7 @@ from dgeval.perception.target import find_target
 from dgeval.perception.types import Model, Tracked
 from dgeval.planning.carried import Belief
 from dgeval.planning.control import Control, Controller, Grasps, HandState
+from dgeval.planning.execution import PAPER_C_E
 from dgeval.planning.recorded_grasps import RecordedGrasps
 from dgeval.recording.choices import Numbers, RecordedChoices, in_base
 from dgeval.recording.contract import CLOSE_EVENT, EXECUTE_TOPIC, GRASP_TOPIC, SEED_TOPIC
@@ -202,6 +203,25 @@ def _controller(trial: Trial, config: Config) -> Controller:
         )
     hand, decisions = trial.robot.hand, recorded_decisions(recorded, source, config)
     return Controller(grasps, hand or hand_named(DEFAULT_HAND), config, decisions)
+
+
+def closing_threshold(trial: Trial, config: Config) -> float | None:
+    """The score of the hand above which the replay closes, c_e.
+
+    None where the robot's own decisions count, or nothing is scored.
+    """
+    source = grasp_source(trial.robot, bool(trial.choices.times), config.grasps)
+    if config.pipeline == "vfas" or source == "none":
+        return None
+    if recorded_decisions(trial.choices, source, config) is not None:
+        return None
+    if config.execution.c_e is not None:
+        return config.execution.c_e
+    if source == "recorded":
+        return PAPER_C_E
+    from dgeval.planning.grasps import networks_of  # imports torch
+
+    return networks_of(config.grasps).c_e
 
 
 def recorded_decisions(recorded: RecordedChoices, source: str, config: Config) -> Numbers | None:

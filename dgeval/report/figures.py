@@ -29,13 +29,18 @@ STYLE = {
 
 
 def trial_figure(
-    frames: pd.DataFrame, hindsight: pd.DataFrame | None, events: dict[str, int | None]
+    frames: pd.DataFrame,
+    hindsight: pd.DataFrame | None,
+    events: dict[str, int | None],
+    c_e: float | None = None,
+    given_speed: float | None = None,
 ) -> Figure:
     """Plots of one trial over time, s.
 
     Rows: servo errors, velocity, scores, and with hindsight the hand's distance to the object.
     Shaded: frames without an accepted registration, and frames in which the target was lost.
-    events: name and stamp ns, drawn as lines.
+    events: name and stamp ns, drawn as lines. c_e: score above which the hand closes. given_speed:
+    m/s, of the target, as the manifest says.
     """
     start = int(frames["t_ns"].iloc[0])
     t = (frames["t_ns"] - start).to_numpy() * 1e-9
@@ -55,10 +60,18 @@ def trial_figure(
         if frames["velocity_sd"].notna().any():
             speed = np.sqrt((frames[list(velocity)] ** 2).sum(axis=1, skipna=False)).to_numpy()
             axes[1].plot(t, speed, color="#222", lw=1.2, label="speed")
-            axes[1].legend(loc="upper left", ncols=4)
+        if given_speed is not None:
+            axes[1].axhline(
+                given_speed, color="#222", lw=1.0, ls=":", label="speed, by the manifest"
+            )
+        if axes[1].lines:
+            axes[1].legend(loc="upper left", ncols=3)
         axes[1].set_ylabel("m/s, base frame")
         scores = {"hand_score": "success pred. (state)", "grasp_score": "success pred. (grasp)"}
         _lines(axes[2], t, frames, {**scores, "icp_gate_fitness": "gate fitness"})
+        if c_e is not None:
+            axes[2].axhline(c_e, color="#222", lw=1.0, ls=":", label=r"$c_e$")
+            axes[2].legend(loc="best", ncols=4)
         axes[2].set_ylim(-0.03, 1.05)
         axes[2].set_ylabel("score")
         if hindsight is not None:

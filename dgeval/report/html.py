@@ -85,7 +85,11 @@ def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
             {
                 **row,
                 **trial_summary(frames),
-                "figure": as_data_uri(trial_figure(frames, run.hindsight(row["trial"]), events)),
+                "figure": as_data_uri(
+                    trial_figure(
+                        frames, run.hindsight(row["trial"]), events, row.get("c_e"), row["speed"]
+                    )
+                ),
                 "picture": _picture(run.folder / "pictures" / f"{file_name(row['trial'])}.jpg"),
                 "decisive_s": None
                 if row["t_decisive_ns"] is None

@@ -26,7 +26,7 @@ from dgeval.perception.pipeline import Perception
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
-from dgeval.replay.causal import Step, replay
+from dgeval.replay.causal import Step, closing_threshold, replay
 from dgeval.replay.fidelity import Compared, Fidelity, fidelity_notes
 from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
 from dgeval.replay.row import pose_columns
@@ -306,6 +306,7 @@ def trial_row(
         "self_filter": self_filter_of(trial, counts),
         "target_source": target_source(trial, target),
         "t_execute_ns": t_execute_ns,
+        "c_e": closing_threshold(trial, config),
         "execute_in_window": judgement.holds_at(t_execute_ns, trial.event_ns(CLOSE_EVENT)),
         "t_close_ns": trial.event_ns(CLOSE_EVENT),
         "close_source": trial.close.source,

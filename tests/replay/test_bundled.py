@@ -61,6 +61,38 @@ def test_stand_ins_are_named_in_the_trial_row(smoke_run: Path) -> None:
 
 
 @pytest.mark.slow
+def test_one_trial_on_one_page(smoke_run: Path, dgeval: Run, tmp_path: Path) -> None:
+    """Catches an answer that needs a wide terminal, a time of another clock, and a figure without
+    the threshold and the speed that the papers' figures have.
+    """
+    name, figure = "sugar_box-040-0002", tmp_path / "new" / "sugar"
+    row = pd.read_parquet(smoke_run / "trials.parquet").set_index("trial").loc[name]
+    done = dgeval("show", smoke_run, name, "--figure", figure)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    words = lines[0].split("  ")
+    assert words[:2] == [name, "failure"]
+    assert all(len(line) <= 80 for line in lines[:-2])
+    page = " ".join(line.strip() for line in lines)
+    assert row["evidence"] in page
+    seen = row["observed_class"].replace("_", " ")
+    assert f"a person at the video would write: {seen}" in page
+    start_ns = pd.read_parquet(smoke_run / "frames" / f"{name}.parquet")["t_ns"].iloc[0]
+    at_s = (row["t_decisive_ns"] - start_ns) * 1e-9
+    assert f"look at: {at_s:+.2f} s ({row['t_decisive_ns'] * 1e-9:.3f})" in page
+    assert "close: " not in page, "the hand never closed"
+    assert "dgeval view" not in page, "this run has no review"
+    drawn = figure.with_suffix(".svg").read_text(encoding="utf-8")
+    assert figure.with_suffix(".png").stat().st_size > 20_000
+    assert "speed, by the manifest" in drawn
+    stated = json.loads(dgeval("show", smoke_run, name, "--json").stdout)
+    assert (stated["trial"], stated["outcome"], stated["speed"]) == (name, "failure", 0.04)
+    unknown = dgeval("show", smoke_run, "nosuch")
+    assert unknown.returncode == 2
+    assert name in unknown.stderr
+
+
+@pytest.mark.slow
 def test_verdicts_on_the_committed_recordings_and_their_report(
     smoke_run: Path, dgeval: Run, tmp_path: Path
 ) -> None:
@@ -110,7 +142,8 @@ def test_verdicts_on_the_committed_recordings_and_their_report(
     page = (tmp_path / "report.html").read_text()
     for said in (
         "What to fix first",
-        "Failures by cause",
+        "Failures by what would have had to be different",
+        "Failures as a person at the video would write",
         "Verdicts against the truth",
         "data:image/jpeg",
         "collision",

@@ -1,0 +1,68 @@
+"""What is known of one trial, in lines for a person and as a figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from dgeval.errors import Place, UsageError
+from dgeval.failure_rule import CLASSES
+from dgeval.report.figures import trial_figure
+from dgeval.report.summary import LABELS
+from dgeval.runs.files import file_name
+from dgeval.runs.results import Run
+
+
+def row_of(run: Run, trial: str) -> dict[str, Any]:
+    """A trial's row, nulls as None. UsageError names the trials where it is none of the run."""
+    rows = run.trials[run.trials["trial"] == trial].to_dict("records")
+    if not rows:
+        listed = ", ".join(map(str, run.trials["trial"]))
+        raise UsageError(f"no trial {trial!r}", Place(str(run.folder)), f"there are {listed}")
+    return {str(k): None if pd.isna(v) else v for k, v in rows[0].items()}
+
+
+def figure_of(run: Run, trial: str) -> Figure:
+    """Errors, velocity and scores of a trial over time, as in the papers' Figures 4 and 5."""
+    row, frames = row_of(run, trial), run.frames(trial)
+    events = {"close": row["t_close_ns"], "execute": row["t_execute_ns"]}
+    return trial_figure(frames, run.hindsight(trial), events, row.get("c_e"), row["speed"])
+
+
+def lines_of(run: Run, trial: str) -> list[str]:
+    """The answer, why, when, and where to look; one paragraph each."""
+    row = row_of(run, trial)
+    cause, seen = row["failure_class"], row.get("observed_class")
+    head = [trial, row["outcome"]]
+    if cause is not None:
+        p = row[f"p_{cause}"]
+        head.append(LABELS[cause] + ("" if p is None or cause == "unknown" else f" {p:.0%}"))
+    if row["outcome_source"] is not None:
+        head.append(f"({row['outcome_source']})")
+    out = ["  ".join(head), row["evidence"] or ""]
+    if cause is not None:
+        chances = ", ".join(f"{LABELS[c]} {row[f'p_{c}'] or 0:.0%}" for c in (*CLASSES, "unknown"))
+        sub = f", {row['sub_cause']}" if row["sub_cause"] else ""
+        out.append(f"cause: {chances}{sub}")
+        if seen is not None:
+            out.append(f"a person at the video would write: {LABELS[seen]}")
+        if row["blame"] is not None:
+            out.append(f"blame: {row['blame']}")
+    start_ns = int(run.frames(trial)["t_ns"].iloc[0])
+    for name, column in (
+        ("close", "t_close_ns"),
+        ("the replay would have closed", "t_execute_ns"),
+        ("look at", "t_decisive_ns"),
+    ):
+        if row[column] is not None:
+            at_s = (row[column] - start_ns) * 1e-9
+            out.append(f"{name}: {at_s:+.2f} s ({int(row[column]) * 1e-9:.3f})")
+    if row["notes"]:
+        out.append(f"notes: {row['notes']}")
+    review = Path("review") / f"{file_name(trial)}.rrd"
+    if (run.folder / review).is_file():
+        out.append(f"see it: dgeval view {run.folder} {trial}")
+    return out
