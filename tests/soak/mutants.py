@@ -69,8 +69,8 @@ MUTANTS = [
     ),
     Mutant(
         DECIDE,
-        "weights = np.array([d.weight for d in asked])",
-        "weights = np.ones(len(asked))",
+        "votes = [sum(weight for name, weight in said if name == c)",
+        "votes = [sum(1 for name, weight in said if name == c)",
         f"{TEST_DECIDE}::test_votes_are_weighted_by_how_well_a_draw_agrees_with_the_log",
     ),
     Mutant(
@@ -221,8 +221,8 @@ MUTANTS = [
     ),
     Mutant(
         DECIDE,
-        "halved = (float(p[0]) / 2,",
-        "halved = (float(p[0]),",
+        "(float(share) * (1 - unknown) for share in p)",
+        "(float(share) for share in p)",
         f"{TEST_DECIDE}::test_of_an_unknown_class_the_probabilities_are_halved",
     ),
     Mutant(
@@ -1621,6 +1621,120 @@ MUTANTS = [
         "2 * len(last) < theirs",
         "len(last) > theirs",
         "tests/replay/test_fidelity.py",
+    ),
+    Mutant(
+        "dgeval/failure_rule.py",
+        "    if seen.touched and moved:",
+        "    if moved:",
+        "tests/test_failure_rule.py::test_a_push_before_the_close_is_seen_as_a_collision_whatever_it_mattered",
+    ),
+    Mutant(
+        "dgeval/failure_rule.py",
+        "        if share < th.inside_share:",
+        "        if share < 0.0:",
+        "tests/test_failure_rule.py::test_where_the_object_was_when_the_hand_closed",
+    ),
+    Mutant(
+        "dgeval/failure_rule.py",
+        "        began = offset if began is None else began",
+        "        began = offset if began is None else seen.reach[0][0]",
+        "tests/test_failure_rule.py::test_where_the_object_was_when_the_hand_closed",
+    ),
+    Mutant(
+        "dgeval/failure_rule.py",
+        "    share_then = min(seen.reach, key=lambda r: abs(r[0] - met_s))[1]",
+        "    share_then = min(seen.reach, key=lambda r: abs(r[0]))[1]",
+        "tests/test_failure_rule.py::test_where_the_object_was_when_the_hand_closed",
+    ),
+    Mutant(
+        "dgeval/worlds/closing_region.py",
+        "        data.qpos[at] = np.clip(reached, lower, upper)",
+        "        data.qpos[at] = reached",
+        "tests/worlds/test_closing_region.py::test_what_a_hand_is_told_beyond_its_limits_is_not_swept",
+    ),
+    Mutant(
+        "dgeval/worlds/closing_region.py",
+        "        T_hand_base = invert(pose_of(data, BASE))",
+        "        T_hand_base = np.eye(4)",
+        "tests/worlds/test_closing_region.py::test_the_region_is_in_the_frame_of_the_hand_on_an_arm",
+    ),
+    Mutant(
+        "dgeval/worlds/closing_region.py",
+        "    return [g for g in solid if int(model.geom_bodyid[g]) in with_solids - before]",
+        "    return solid",
+        "tests/worlds/test_closing_region.py::test_the_fingers_of_a_hand_sweep_in_front_of_its_palm",
+    ),
+    Mutant(
+        "dgeval/worlds/closing_region.py",
+        "        points = np.concatenate([corners, lattice[inside]])",
+        "        points = corners",
+        "tests/worlds/test_closing_region.py::test_an_object_between_the_jaws_and_one_before_them",
+    ),
+    Mutant(
+        "dgeval/verdict/draws.py",
+        "        (observed(twin.seen, thresholds), float(w) / best)",
+        "        (observed(twin.seen), float(w) / best)",
+        "tests/verdict/test_decide.py::test_a_held_object_that_gives_way_is_not_seen_pushed",
+    ),
+    Mutant(
+        "dgeval/verdict/decide.py",
+        "    unclear = draws.share_reproduced < TRUSTED or float(seen.max()) < min_probability",
+        "    unclear = float(seen.max()) < min_probability",
+        "tests/verdict/test_decide.py::test_draws_that_see_different_things_leave_it_unknown",
+    ),
+    Mutant(
+        "dgeval/report/summary.py",
+        '    counts_alike = column == "observed_class" and len(scenarios) == 1',
+        "    counts_alike = len(scenarios) == 1",
+        "tests/verdict/test_verdict.py::test_shares_leave_out_what_did_not_end",
+    ),
+    Mutant(
+        "dgeval/recording/choices.py",
+        "    return None if T_base_parent is None else T_base_parent @ T",
+        "    return T if T_base_parent is None else T_base_parent @ T",
+        "tests/recording/test_choices.py::test_a_pose_in_a_frame_that_nothing_places_is_not_taken_as_of_the_base",
+    ),
+    Mutant(
+        "dgeval/recording/scan.py",
+        "        and not name.startswith(OWN_PREFIXES)",
+        "        and name",
+        "tests/recording/test_choices.py::test_beliefs_that_are_stamped_by_the_recorder_follow_its_clock",
+    ),
+    Mutant(
+        "dgeval/planning/model_grasps.py",
+        "        return arm.solve(T_arm_base @ T_base_palm, np.array(q, dtype=float)) is not None",
+        "        return arm.solve(T_base_palm, np.array(q, dtype=float)) is not None",
+        "tests/networks/test_networks.py::test_an_arm_that_stands_in_a_world_is_asked_in_its_own_frame",
+    ),
+    Mutant(
+        "dgeval/replay/causal.py",
+        "        is_own = config.execution.c_e is None and not config.schedule.grasps_latency_s",
+        "        is_own = config.execution.c_e is None",
+        "tests/planning/test_control.py::test_decisions_speak_of_the_grasps_as_the_robot_had_them",
+    ),
+    Mutant(
+        "dgeval/compare/comparison.py",
+        "    stated = [fact for fact in FACTS if all(fact in table for table in rows)]",
+        "    stated = list(FACTS)",
+        "tests/compare/test_regress.py::test_a_run_from_before_a_fact_was_added_is_compared",
+    ),
+    Mutant(
+        "dgeval/evaluate/tables.py",
+        '    return table.get("without" if arm == "without" else section, {}), n',
+        "    return table.get(section, {}), n",
+        "tests/evaluate/test_tables.py::test_the_other_papers_arms_are_beside_their_own_columns",
+    ),
+    Mutant(
+        "dgeval/evaluate/tables.py",
+        '                is_beside = column == "observed_class" and given',
+        "                is_beside = given",
+        "tests/evaluate/test_tables.py::test_the_dynamic_papers_tables",
+    ),
+    Mutant(
+        "dgeval/evaluate/tables.py",
+        "        both = sorted(set(old) & set(new))",
+        "        both = sorted(old)[: len(new)]",
+        "tests/evaluate/test_tables.py::test_arms_are_paired_by_trial",
     ),
 ]
 

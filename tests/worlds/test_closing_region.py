@@ -6,6 +6,8 @@ that go through their limits, and a region in another frame than the hand's.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -87,3 +89,11 @@ def test_the_region_is_in_the_frame_of_the_hand_on_an_arm(jaw: mujoco.MjModel) -
     flying, mounted = (closing_region(m, JAW, JAW.open) for m in (jaw, arm))
     points = np.random.default_rng(1).uniform(-0.1, 0.2, (100, 3))
     np.testing.assert_allclose(flying.depth(points), mounted.depth(points), atol=1e-9)
+
+
+def test_what_a_hand_is_told_beyond_its_limits_is_not_swept(jaw: mujoco.MjModel) -> None:
+    """A drive that presses is sent far beyond where its joint ends."""
+    presses = replace(JAW, targets=lambda _, drives: np.full_like(drives, -0.5))
+    region = closing_region(jaw, presses, JAW.open)
+    low = T_hand_grasp[2, 3] + PROXIMAL[1][2]
+    assert region.depth(np.array([[PROXIMAL[1][0] + PROXIMAL[0][0] + 0.003, 0.0, low]]))[0] < 0
