@@ -105,7 +105,9 @@ def main() -> None:
         config = load_config("dynamic", OWN)
         trial = open_trial(spec, config)
         robot = recorded_by(trial, list(replay(trial, config)))
-        end_ns = trial.event_ns(CLOSE_EVENT) or trial.pairs[-1].t_ns
+        # a second after the target was last seen nothing is believed of it any more
+        last_ns = robot.scan.poses[TARGET_TOPIC][-1].t_ns
+        end_ns = min(trial.event_ns(CLOSE_EVENT) or last_ns, last_ns)
         for name, assignment, stage in CHANGES:
             other = load_config("dynamic", (*OWN, assignment))
             beside = replace(open_trial(spec, other), scan=robot.scan)

@@ -105,7 +105,7 @@ class Seen:
     where the hand first was near the object to 0.6 s after the close (offset s; how far the object
     reached into the region that the hand closes in, as a share of how deep anything can; how deep
     its centre was in it, m; both negative outside). met_s: when the closing fingers first touched
-    the object or, on nothing, came to rest; None without a close.
+    the object or, on nothing, came to rest; None without a close, or later than that.
     """
 
     closed: bool
@@ -278,12 +278,12 @@ def observed(seen: Seen, thresholds: Thresholds | None = None) -> FailureClass:
             began = None
             continue
         began = offset if began is None else began
-        longest = max(longest, offset - began)
+        longest = max(longest, round(offset - began, 6))
     if longest < th.inside_s:
         return "imprecise_pose"
-    if seen.met_s is None:
+    if not seen.closed:
         return "timing"
-    met_s = seen.met_s
+    met_s = seen.reach[-1][0] if seen.met_s is None else seen.met_s
     share_then = min(seen.reach, key=lambda r: abs(r[0] - met_s))[1]
     return "imprecise_pose" if share_then >= th.inside_share else "timing"
 

@@ -149,6 +149,9 @@ def test_a_push_before_the_close_is_seen_as_a_collision_whatever_it_mattered() -
         (((-0.50, 0.60),), 0.40, "imprecise_pose"),  # there all along
         (((-0.50, -0.40), (0.35, 0.41)), 0.40, "imprecise_pose"),
         (((-0.50, -0.45),), 0.40, "imprecise_pose"),  # for 50 ms alone
+        (((-0.50, -0.44),), 0.40, "timing"),  # for just 60 ms
+        (((-0.51, -0.45),), 0.40, "timing"),  # whatever the floats say
+        (((-0.60, -0.54),), 0.40, "timing"),
         (((-0.50, -0.45), (-0.43, -0.38)), 0.40, "imprecise_pose"),  # for 50 ms twice
         ((), 0.40, "imprecise_pose"),
     ],
@@ -164,4 +167,7 @@ def test_a_hand_that_never_closed_at_an_object_that_was_there() -> None:
     """Catches a hand that waited for ever and is called imprecise."""
     assert observed(seen((-0.5, -0.4), closed=False, met_s=None)) == "timing"
     assert observed(seen(closed=False, met_s=None)) == "imprecise_pose"
+    # it closed, and was lifted away before it met anything
+    assert observed(seen((-0.5, 0.6), met_s=None)) == "imprecise_pose"
+    assert observed(seen((-0.5, 0.5), met_s=None)) == "timing"
     assert observed(seen(closed=False, met_s=None, reach=())) == "imprecise_pose"

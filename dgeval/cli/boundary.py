@@ -70,6 +70,8 @@ def _folder(kwargs: dict[str, Any]) -> Path | None:
     """The folder of --out, else the first run folder that the command reads, else None."""
     if isinstance(kwargs.get("out"), Path):
         return cast(Path, kwargs["out"])
+    if isinstance(run := kwargs.get("run"), Path) and run.is_dir():
+        return run
     runs = kwargs.get("runs")
     return runs[0] if isinstance(runs, list) and runs and runs[0].is_dir() else None
 

@@ -67,11 +67,14 @@ def evaluate(
     document: dict[str, Any] = {
         "suite": suite,
         "seed": seed,
+        "faultless": faultless,
+        "trials": {r.arm.name: len(r.trials) for r in results},
         "tables": [table.document() for table in tables],
         "notes": notes,
     }
     text = "\n\n".join([
         f"# {suite}",
+        f"Seed {seed}; the scenarios' faults are {'left out' if faultless else 'put in'}.",
         "Success is held of all trials. Intervals: Wilson, 95 %. The paper's counts have none.",
         *(table.markdown() for table in tables),
         "\n".join(f"- {note}" for note in notes),

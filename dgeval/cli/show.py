@@ -39,16 +39,20 @@ def show(
 
     finished = read_run(run)
     files = [] if figure is None else [figure]
-    if figure is not None and not figure.suffix:
-        files = [figure.with_suffix(".png"), figure.with_suffix(".svg")]
+    if figure is not None:
+        parents = [folder for folder in figure.parents if folder.exists()]
+        if not figure.name or figure.is_dir() or not parents[0].is_dir():
+            raise UsageError(f"--figure {figure}: no file can be written there")
+        if not figure.suffix:
+            files = [figure.with_suffix(".png"), figure.with_suffix(".svg")]
     for file in files:
-        if file.suffix not in (".png", ".svg"):
+        if file.suffix.lower() not in (".png", ".svg"):
             raise UsageError(f"--figure {file}: {file.suffix!r}", hint=".png, .svg, or no suffix")
     row = row_of(finished, trial)
     if files:
         drawn = figure_of(finished, trial)
         for file in files:
-            about = {"Software": None} if file.suffix == ".png" else {"Date": None}
+            about = {"Software": None} if file.suffix.lower() == ".png" else {"Date": None}
             file.parent.mkdir(parents=True, exist_ok=True)
             drawn.savefig(file, dpi=150, metadata=about)
     if json_:

@@ -83,7 +83,7 @@ def tables_of(suite: str, results: Sequence[Results]) -> list[Table]:
         return [
             _by_speed("Success by belt speed (Table II)", [conveyor], ["conveyor"]),
             _by_object("Success by object (Table III)", results, ["conveyor", "handover"], True),
-            *_failures(results),
+            *_failures(results, " (Table IV)"),
         ]
     static, turntable, handover = results[:2], results[2:4], results[4]
     arms = ["without", "with"]
@@ -174,11 +174,11 @@ def _printed(result: Results, section: str, arm: str) -> tuple[dict[str, int], i
     return table.get("without" if arm == "without" else section, {}), n
 
 
-def _failures(results: Sequence[Results]) -> list[Table]:
+def _failures(results: Sequence[Results], of_paper: str = "") -> list[Table]:
     """Shares of the failures' classes: as seen, beside the paper, and by what had to differ."""
     out = []
     for column, title in (
-        ("observed_class", "Failures as a person at the video would write (Table IV)"),
+        ("observed_class", "Failures as a person at the video would write"),
         ("failure_class", "Failures by what would have had to be different"),
     ):
         rows = []
@@ -192,6 +192,7 @@ def _failures(results: Sequence[Results]) -> list[Table]:
                 paper = Count(given[c], sum(given.values())) if is_beside else Count(0, 0)
                 counts += [own, paper]
             rows.append((LABELS[c], tuple(counts)))
+        title += of_paper if column == "observed_class" else ""
         out.append(Table(title, tuple(r.arm.name for r in results), tuple(rows)))
     if len(results) == 2:
         seen = out[0]

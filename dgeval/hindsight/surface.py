@@ -10,6 +10,7 @@ from dgeval.geometry import Array
 from dgeval.perception.plane import Plane
 from dgeval.perception.types import Model
 from dgeval.replay.causal import Step
+from dgeval.worlds.shape import LEAST_POINTS, well_surrounded
 
 CELL = 0.003  # m; edge of a voxel, of which the kept surface has one point each
 
@@ -40,11 +41,19 @@ class Surface:
         self._cells, self._sums = both, merged
 
     def model(self) -> Model | None:
-        """Points and unit normals of the voxels; None where nothing was added."""
+        """Points and unit normals of the voxels; None where nothing was added.
+
+        Points without neighbours are left out, if enough others remain: what a single frame took
+        for the object stays in its voxels for ever.
+        """
         if not len(self._cells):
             return None
-        points = self._sums[:, :3] / self._sums[:, 6:]
-        normals = self._sums[:, 3:6]
+        sums = self._sums
+        kept = well_surrounded(sums[:, :3] / sums[:, 6:])
+        if kept.sum() >= LEAST_POINTS:
+            sums = sums[kept]
+        points = sums[:, :3] / sums[:, 6:]
+        normals = sums[:, 3:6]
         return Model(
             points, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         )

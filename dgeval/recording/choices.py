@@ -65,18 +65,13 @@ def recorded_choices(found: Scan, span: tuple[int, int], robot: RobotStates) -> 
     that nothing connects to the base is left out (`unplaced`).
     """
     grasps: list[tuple[int, Array]] = []
-    poses = found.poses.get(GRASP_TOPIC, [])
-    logged = found.times[GRASP_TOPIC].log_ns if GRASP_TOPIC in found.times else []
-    if found.recorder_clock is not None:
-        logged = [found.recorder_clock.stamp_ns(t_ns) for t_ns in logged]
-    if len(logged) != len(poses):
-        logged = [pose.t_ns for pose in poses]
-    apart = [log_ns - pose.t_ns for pose, log_ns in zip(poses, logged, strict=True)]
+    poses = logged_poses(found, GRASP_TOPIC)
+    apart = [log_ns - pose.t_ns for pose, log_ns in poses]
     one_clock = bool(apart) and abs(sorted(apart)[len(apart) // 2]) < ONE_CLOCK_NS
-    for pose, log_ns in zip(poses, logged, strict=True):
+    for pose, log_ns in poses:
         is_stamped = span[0] <= pose.t_ns <= span[1]
         t_ns = max(pose.t_ns, log_ns) if one_clock else pose.t_ns if is_stamped else log_ns
-        T = in_base(pose, t_ns, robot)
+        T = in_base(pose, log_ns, robot)
         if T is not None and span[0] <= t_ns <= span[1]:
             grasps.append((t_ns, T))
     grasps.sort(key=lambda grasp: grasp[0])
@@ -87,16 +82,30 @@ def recorded_choices(found: Scan, span: tuple[int, int], robot: RobotStates) -> 
     )
 
 
-def in_base(pose: StampedPose, t_ns: int, robot: RobotStates) -> Array | None:
-    """A recorded pose as T_base_x (4, 4) at a time, ns; None where its frame is not known then.
+def logged_poses(found: Scan, topic: str) -> list[tuple[StampedPose, int]]:
+    """The poses of a topic, each with the time it was logged, ns, on the clock of the stamps."""
+    poses = found.poses.get(topic, [])
+    logged = found.times[topic].log_ns if topic in found.times else []
+    if found.recorder_clock is not None:
+        logged = [found.recorder_clock.stamp_ns(t_ns) for t_ns in logged]
+    if len(logged) != len(poses):
+        logged = [pose.t_ns for pose in poses]
+    return list(zip(poses, logged, strict=True))
 
-    Without a frame it is taken as of the base. Without a base everything is of the camera.
+
+def in_base(pose: StampedPose, log_ns: int, robot: RobotStates) -> Array | None:
+    """A recorded pose as T_base_x (4, 4); None where its frame is not known.
+
+    Its frame is where it was at the pose's stamp, of a pose without one when it was logged. Without
+    a frame it is taken as of the base. Without a base everything is of the camera.
     """
     T, base = matrix_from_pose(pose.pose), robot.base_frame or robot.camera_frame
     if not pose.parent or pose.parent == base:
         return T
-    T_base_parent = robot.tree.lookup(base, pose.parent, t_ns)
-    return None if T_base_parent is None else T_base_parent @ T
+    for t_ns in (pose.t_ns, log_ns):
+        if t_ns and (T_base_parent := robot.tree.lookup(base, pose.parent, t_ns)) is not None:
+            return T_base_parent @ T
+    return None
 
 
 def unplaced(found: Scan, robot: RobotStates) -> list[str]:
@@ -104,9 +113,9 @@ def unplaced(found: Scan, robot: RobotStates) -> list[str]:
     base = robot.base_frame or robot.camera_frame
     out = []
     for topic in (GRASP_TOPIC, SEED_TOPIC):
-        poses = found.poses.get(topic, [])
-        if poses and all(in_base(pose, pose.t_ns, robot) is None for pose in poses):
-            frame = poses[0].parent
+        poses = logged_poses(found, topic)
+        if poses and all(in_base(pose, log_ns, robot) is None for pose, log_ns in poses):
+            frame = poses[0][0].parent
             out.append(f"{topic} is given in {frame!r}, and nothing says where that is in {base!r}")
     return out
 

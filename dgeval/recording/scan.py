@@ -348,6 +348,7 @@ def _onto_the_stamps_clock(found: Scan) -> None:
         header, log = found.times[topic].arrays()
         by_recorder = len(header) == len(log) > 0 and header.any()
         if by_recorder and abs(np.median(log - header)) < 0.5e9 * abs(clock.apart_s):
+            found.times[topic].header_ns = [clock.stamp_ns(t_ns) for t_ns in header.tolist()]
             if topic in found.poses:
                 poses = found.poses[topic]
                 found.poses[topic] = [replace(p, t_ns=clock.stamp_ns(p.t_ns)) for p in poses]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ from dgeval.planning.carried import Belief
 from dgeval.planning.control import Control, Controller, Grasps, HandState
 from dgeval.planning.execution import PAPER_C_E
 from dgeval.planning.recorded_grasps import RecordedGrasps
-from dgeval.recording.choices import Numbers, RecordedChoices, in_base
+from dgeval.recording.choices import Numbers, RecordedChoices, in_base, logged_poses
 from dgeval.recording.contract import CLOSE_EVENT, EXECUTE_TOPIC, GRASP_TOPIC, SEED_TOPIC
 from dgeval.recording.frame import Frame
 from dgeval.recording.messages import StampedPose
@@ -215,6 +215,8 @@ def closing_threshold(trial: Trial, config: Config) -> float | None:
         return None
     if recorded_decisions(trial.choices, source, config) is not None:
         return None
+    if source == "recorded" and not trial.choices.hand_scores.times:
+        return None
     if config.execution.c_e is not None:
         return config.execution.c_e
     if source == "recorded":
@@ -257,14 +259,17 @@ def _belief(frame: Frame, perceived: Perceived, T_base_camera: Array) -> Belief 
 
 
 def recorded_seed(
-    seeds: list[StampedPose], start_ns: int, end_ns: int, robot: RobotStates
+    seeds: Sequence[tuple[StampedPose, int]], start_ns: int, end_ns: int, robot: RobotStates
 ) -> Array | None:
     """T_base_seed (4, 4): another planner's proposal; None where none is recorded.
 
-    The newest at the trial's first frame, else the first one up to its end.
+    The newest at the trial's first frame, else the first one up to its end. seeds: each with the
+    time it was logged, ns, which counts where it has no stamp.
     """
-    placed = [(p.t_ns, in_base(p, p.t_ns, robot)) for p in seeds if p.t_ns <= end_ns]
-    during = sorted(((t, T) for t, T in placed if T is not None), key=lambda seed: seed[0])
+    placed = [(p.t_ns or log_ns, in_base(p, log_ns, robot)) for p, log_ns in seeds]
+    during = sorted(
+        ((t, T) for t, T in placed if T is not None and t <= end_ns), key=lambda seed: seed[0]
+    )
     before = [T for t, T in during if t <= start_ns]
     return before[-1] if before else during[0][1] if during else None
 
@@ -272,7 +277,7 @@ def recorded_seed(
 def seed_of(trial: Trial) -> Array | None:
     """The recorded seed of a trial, see `recorded_seed`."""
     end_ns = trial.spec.end_ns or trial.pairs[-1].t_ns
-    seeds = trial.scan.poses.get(SEED_TOPIC, [])
+    seeds = logged_poses(trial.scan, SEED_TOPIC)
     return recorded_seed(seeds, trial.pairs[0].t_ns, end_ns, trial.robot)
 
 

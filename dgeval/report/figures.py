@@ -82,17 +82,17 @@ def trial_figure(
         for axis in axes:
             _shade(axis, t, blind, "#f4d9a8")
             _shade(axis, t, lost, "#f0b7b2")
-            for name, t_ns in events.items():
-                if t_ns is not None:
-                    axis.axvline((t_ns - start) * 1e-9, color="#333", lw=0.9, ls="--")
-                    if axis is axes[0]:
-                        axis.annotate(
-                            name,
-                            ((t_ns - start) * 1e-9, 1.0),
-                            xycoords=("data", "axes fraction"),
-                            fontsize=8,
-                            ha="center",
-                        )
+            marks = sorted((at, name) for name, at in events.items() if at is not None)
+            for k, (t_ns, name) in enumerate(marks):
+                axis.axvline((t_ns - start) * 1e-9, color="#333", lw=0.9, ls="--")
+                if axis is axes[0]:  # the words stand apart, however near the lines are
+                    axis.annotate(
+                        name,
+                        ((t_ns - start) * 1e-9, 1.0),
+                        xycoords=("data", "axes fraction"),
+                        fontsize=8,
+                        ha="center" if len(marks) == 1 else "right" if k == 0 else "left",
+                    )
     return figure
 
 

@@ -14,15 +14,19 @@ from dgeval.report.figures import trial_figure
 from dgeval.report.summary import LABELS
 from dgeval.runs.files import file_name
 from dgeval.runs.results import Run
+from dgeval.schema import TRIALS
 
 
 def row_of(run: Run, trial: str) -> dict[str, Any]:
     """A trial's row, nulls as None. UsageError names the trials where it is none of the run."""
     rows = run.trials[run.trials["trial"] == trial].to_dict("records")
     if not rows:
-        listed = ", ".join(map(str, run.trials["trial"]))
+        listed = ", ".join(map(str, run.trials["trial"])) or "none: nothing was replayed"
         raise UsageError(f"no trial {trial!r}", Place(str(run.folder)), f"there are {listed}")
-    return {str(k): None if pd.isna(v) else v for k, v in rows[0].items()}
+    row: dict[str, Any] = {str(k): None if pd.isna(v) else v for k, v in rows[0].items()}
+    # a column with nulls comes back as floats
+    integers = {c.name for c in TRIALS if c.kind == "int"}
+    return {k: int(v) if k in integers and v is not None else v for k, v in row.items()}
 
 
 def figure_of(run: Run, trial: str) -> Figure:
@@ -48,7 +52,9 @@ def lines_of(run: Run, trial: str) -> list[str]:
         sub = f", {row['sub_cause']}" if row["sub_cause"] else ""
         out.append(f"cause: {chances}{sub}")
         if seen is not None:
-            out.append(f"a person at the video would write: {LABELS[seen]}")
+            p = row[f"p_observed_{seen}"]
+            sure = "" if p is None or seen == "unknown" else f" ({p:.0%})"
+            out.append(f"a person at the video would write: {LABELS[seen]}{sure}")
         if row["blame"] is not None:
             out.append(f"blame: {row['blame']}")
     start_ns = int(run.frames(trial)["t_ns"].iloc[0])

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import QhullError
 
 from dgeval.determinism import generator
 from dgeval.failure_rule import HANDED_OVER, Thresholds, Unknown, observed
@@ -73,7 +74,8 @@ def draws_of(scene: Scene, method: str, draws: int, seed: int) -> Draws | Unknow
             draw, seen = geometric_draw(scene, thresholds)
             return Draws((draw,), 1.0, method, seen=((observed(seen, thresholds), 1.0),))
         return _twins(scene, draws, seed, thresholds)
-    except ValueError as error:  # no points, a cloud that spans no volume, or that MuJoCo refuses
+    # no points, a cloud or fingers that span no volume, or that MuJoCo refuses
+    except (ValueError, QhullError) as error:
         return Unknown(str(error))
 
 

@@ -43,8 +43,8 @@ class ClosingRegion:
 def closing_region(model: mujoco.MjModel, hand: Hand, drives: Array) -> ClosingRegion:
     """The hull of what the last link of every finger sweeps in closing from drives (k,), rad or m.
 
-    model: a world with the hand. Fingertips and pads are the solids of bodies with no further solid
-    after them; nothing stops them but the limits of their joints.
+    model: a world with the hand. Fingertips and pads are the solids of fingers with no further one
+    after them; nothing stops them but the limits of their joints. ValueError where there are none.
     """
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in hand.joints]
@@ -53,7 +53,9 @@ def closing_region(model: mujoco.MjModel, hand: Hand, drives: Array) -> ClosingR
         for k, fill in ((0, -np.inf), (1, np.inf))
     )
     at = [int(j.qposadr[0]) for j in joints]
-    solids = [(int(g), _points_of(model, int(g))) for g in _last_solids(model)]
+    solids = [(g, _points_of(model, g)) for g in last_solids(model, hand)]
+    if not solids:
+        raise ValueError(f"no finger of {hand.name} has a solid")
     swept = []
     for since_s in np.linspace(0.0, hand.close_s, SAMPLES):
         reached = hand.positions(hand.targets(float(since_s), drives))
@@ -96,10 +98,14 @@ def points_within(model: mujoco.MjModel, geoms: list[int]) -> Array:
     return np.concatenate(out)
 
 
-def _last_solids(model: mujoco.MjModel) -> list[int]:
-    """The hand's solids on bodies after which no body of a finger has one."""
+def last_solids(model: mujoco.MjModel, hand: Hand) -> list[int]:
+    """The solids of a hand's fingers on bodies after which no body has one."""
     base = model.body(BASE).id
-    solid = [g for g in range(model.ngeom) if model.geom_contype[g] == 2]
+    solid = [
+        g
+        for g in range(model.ngeom)
+        if model.geom_contype[g] == 2 and model.geom(g).name.split("_")[0] in hand.fingers
+    ]
     with_solids = {int(model.geom_bodyid[g]) for g in solid} - {base}
     before: set[int] = set()
     for body in with_solids:

@@ -12,6 +12,7 @@ import contextlib
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from dgeval.geometry import Array
@@ -95,10 +96,18 @@ def _corner(part: Part, sign: int) -> Array:
     return np.array([sign * -part.lowest(-sign * e) for e in np.eye(3)])
 
 
-def _without_strays(points: Array) -> Array:
-    """Points with enough neighbours: flying pixels and remains of the hand would swell the hull."""
+def well_surrounded(points: Array) -> NDArray[np.bool_]:
+    """Which points (n, 3) m of a surface have enough neighbours.
+
+    Flying pixels and remains of the hand have not, and would swell its hull.
+    """
     count = cKDTree(points).query_ball_point(points, 0.008, return_length=True)
-    kept = points[count >= max(4, 0.25 * float(np.median(count)))]
+    return np.asarray(count >= max(4, 0.25 * float(np.median(count))))
+
+
+def _without_strays(points: Array) -> Array:
+    """Points that are well surrounded, and not the outermost along any axis."""
+    kept = points[well_surrounded(points)]
     if len(kept) < LEAST_POINTS:
         return points
     low, high = np.quantile(kept, [0.003, 0.997], axis=0)

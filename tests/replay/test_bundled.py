@@ -87,6 +87,9 @@ def test_one_trial_on_one_page(smoke_run: Path, dgeval: Run, tmp_path: Path) -> 
     assert "speed, by the manifest" in drawn
     stated = json.loads(dgeval("show", smoke_run, name, "--json").stdout)
     assert (stated["trial"], stated["outcome"], stated["speed"]) == (name, "failure", 0.04)
+    for wrong in (tmp_path, "", figure.with_suffix(".png") / "x.png", "a.pdf"):
+        refused = dgeval("show", smoke_run, name, "--figure", wrong)
+        assert refused.returncode == 2, (wrong, refused.stderr)
     unknown = dgeval("show", smoke_run, "nosuch")
     assert unknown.returncode == 2
     assert name in unknown.stderr

@@ -1713,12 +1713,6 @@ MUTANTS = [
         "tests/planning/test_control.py::test_decisions_speak_of_the_grasps_as_the_robot_had_them",
     ),
     Mutant(
-        "dgeval/compare/comparison.py",
-        "    stated = [fact for fact in FACTS if all(fact in table for table in rows)]",
-        "    stated = list(FACTS)",
-        "tests/compare/test_regress.py::test_a_run_from_before_a_fact_was_added_is_compared",
-    ),
-    Mutant(
         "dgeval/evaluate/tables.py",
         '    return table.get("without" if arm == "without" else section, {}), n',
         "    return table.get(section, {}), n",
@@ -1735,6 +1729,12 @@ MUTANTS = [
         "        both = sorted(set(old) & set(new))",
         "        both = sorted(old)[: len(new)]",
         "tests/evaluate/test_tables.py::test_arms_are_paired_by_trial",
+    ),
+    Mutant(
+        "dgeval/hindsight/surface.py",
+        "            sums = sums[kept]",
+        "            pass",
+        "tests/verdict/test_verdict.py::test_surface_forgets_what_one_frame_took_for_the_object",
     ),
 ]
 

@@ -388,6 +388,8 @@ def test_a_hand_by_its_description_is_never_as_sure_as_its_draws(
     assert max(by_name.probabilities) == pytest.approx(max(shares(3.0, 0.0, 0.0)))
     mixed = 0.75 * np.array(by_name.probabilities[:3]) + 0.25 / 3
     assert by_description.probabilities[:3] == pytest.approx(mixed)
+    of_what_is_seen = 0.75 * np.array(by_name.observed[:3]) + 0.25 / 3
+    assert by_description.observed[:3] == pytest.approx(of_what_is_seen)
     assert sum(by_description.probabilities) == pytest.approx(1.0)
 
 

@@ -95,6 +95,29 @@ def test_surface_does_not_forget_what_was_seen_early() -> None:
     assert np.abs(np.linalg.norm(model.normals, axis=1) - 1).max() < 1e-9
 
 
+def test_surface_forgets_what_one_frame_took_for_the_object() -> None:
+    """Catches flying pixels and remains of a finger that stay in the outline, and in the distance
+    of hand and object, for the whole trial.
+    """
+    rng = np.random.default_rng(3)
+    side = np.column_stack([np.zeros(2000), rng.uniform(0, 0.1, (2000, 2))])
+    strays = rng.uniform(0.13, 0.3, (60, 3))
+    surface = Surface()
+    surface.add(Model(side, np.tile([1.0, 0, 0], (2000, 1))))
+    clean = surface.model()
+    surface.add(Model(np.concatenate([side, strays]), np.tile([1.0, 0, 0], (2060, 1))))
+    model = surface.model()
+    assert model is not None
+    assert clean is not None
+    assert np.abs(model.points).max() < 0.101
+    np.testing.assert_allclose(model.points, clean.points, atol=1e-9)
+    few = Surface()
+    few.add(Model(strays[:10], np.tile([1.0, 0, 0], (10, 1))))
+    kept = few.model()
+    assert kept is not None
+    assert len(kept.points) == 10, "too few to say which are strays"
+
+
 @pytest.mark.parametrize(
     ("name", "kind", "bound"),
     [

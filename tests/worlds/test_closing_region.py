@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 from dgeval.robots import dlr_hit_hand
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
+from dgeval.robots.hand import BASE
 from dgeval.robots.parallel_jaw import DISTAL, PROXIMAL, TRAVEL, T_hand_grasp
 from dgeval.robots.parallel_jaw import HAND as JAW
-from dgeval.worlds.closing_region import closing_region, points_within
+from dgeval.worlds.closing_region import closing_region, last_solids, points_within
 from dgeval.worlds.objects import ten_objects
 from dgeval.worlds.scene import build
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +91,44 @@ def test_the_region_is_in_the_frame_of_the_hand_on_an_arm(jaw: mujoco.MjModel) -
     flying, mounted = (closing_region(m, JAW, JAW.open) for m in (jaw, arm))
     points = np.random.default_rng(1).uniform(-0.1, 0.2, (100, 3))
     np.testing.assert_allclose(flying.depth(points), mounted.depth(points), atol=1e-9)
+
+
+def test_only_the_last_links_of_fingers_sweep() -> None:
+    """Catches a first phalanx, or something fixed to the palm, that counts as a fingertip."""
+    model = build(ten_objects()["apple"], robot="hand", gripper=FIVE_FINGERS)
+    named = {model.geom(g).name for g in last_solids(model, FIVE_FINGERS)}
+    assert named == {f"{finger}_3" for finger in FIVE_FINGERS.fingers}
+    spec = mujoco.MjSpec()
+    base = spec.worldbody.add_body(name=BASE)
+    JAW.add(spec, base)
+    mount = base.add_body(name="mount")
+    solid = mount.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.05] * 3, name="palm_mount")
+    solid.contype = 2
+    mounted = spec.compile()
+    with_mount = closing_region(mounted, JAW, JAW.open)
+    assert with_mount.deepest == pytest.approx(DISTAL[0][1], abs=1e-6)
+    no_finger = replace(JAW, fingers=("thumb",))
+    with pytest.raises(ValueError, match="no finger of parallel_jaw"):
+        closing_region(mounted, no_finger, JAW.open)
+
+
+@pytest.mark.parametrize("kind", ["CYLINDER", "CAPSULE", "SPHERE", "ELLIPSOID", "BOX"])
+def test_a_solid_is_filled_where_it_is(kind: str) -> None:
+    """Catches a size, a place or a turn that is left out: MuJoCo's own bounds are the reference."""
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body()
+    turn = Rotation.from_euler("xyz", [0.4, -0.7, 1.1])
+    x, y, z, w = turn.as_quat()
+    body.add_geom(
+        type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"),
+        size=[0.02, 0.05, 0.03], pos=[0.1, -0.2, 0.3], quat=[w, x, y, z],
+    )  # fmt: skip
+    model = spec.compile()
+    points = points_within(model, [0])
+    local = turn.inv().apply(points - [0.1, -0.2, 0.3])
+    centre, half = model.geom_aabb[0][:3], model.geom_aabb[0][3:]
+    np.testing.assert_allclose(local.max(axis=0), centre + half, rtol=0.02)
+    np.testing.assert_allclose(local.min(axis=0), centre - half, rtol=0.02)
 
 
 def test_what_a_hand_is_told_beyond_its_limits_is_not_swept(jaw: mujoco.MjModel) -> None:
