@@ -151,8 +151,9 @@ def failed_checks(
         mend = f"name the one that grasps: --set frames.palm={robot.hands[0]}"
         failed.append(Check("hands", what, mend))
     failed += _poses(scan, robot, window)
-    mend = "it is not used; record that transform, or publish it in the base"
-    failed += [Check("choices", what, mend) for what in unplaced(scan, robot)]
+    if "poses" not in {check.name for check in failed}:
+        mend = "it is not used; record that transform, or publish it in the base"
+        failed += [Check("choices", what, mend) for what in unplaced(scan, robot)]
     failed += [
         Check("frozen", what, "what happens from there on is not seen; look at the driver")
         for what in frozen_streams(scan, roles, window, reader)
