@@ -207,6 +207,25 @@ def apart(weight: float) -> float:
 # doubts
 
 
+@pytest.mark.parametrize(
+    ("held", "unseen_s", "known"), [(True, 2.01, False), (True, 1.99, True), (False, 2.01, True)]
+)
+def test_what_someone_held_against_the_hand_for_seconds_has_no_cause(
+    physics: Replace, held: bool, unseen_s: float, known: bool
+) -> None:
+    """Catches a cause for what gave way nobody knows how far, and a doubt of what stands on a belt
+    or was pushed for a moment alone.
+    """
+    twin = physics(GivenDraw(SHIFTED, 0.1))
+    seen = still().reference - round(unseen_s / TICK_S)
+    decision = decided(still(held=held, last_seen=seen), "twin", 3, 0, 0.6)
+    assert (class_of(decision) == "timing") == known
+    assert bool(twin.asked) == known
+    if not known:
+        assert isinstance(decision.observed_class, Unknown)
+        assert "the hand was at it for 2.0 s" in str(reason(decision))
+
+
 def test_a_place_that_is_not_known_asks_no_instrument(physics: Replace) -> None:
     """Catches a limit that lets 26 mm through, and physics run for nothing."""
     twin = physics(GivenDraw())
