@@ -13,7 +13,7 @@ from dgeval.cli.simulate import campaign_progress
 
 EXAMPLES = """\b
 Examples:
-  dgeval evaluate paper-dynamic --jobs 2           (220 trials, about an hour)
+  dgeval evaluate paper-dynamic --jobs 2           (220 trials; goes on where it was stopped)
   dgeval evaluate paper-dynamic --trials 6         (to try; tables of what there is)
   dgeval evaluate paper-vfas --out runs/vfas --json
 """
