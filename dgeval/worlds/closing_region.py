@@ -16,7 +16,7 @@ from dgeval.geometry import Array, invert, transform
 from dgeval.robots.hand import BASE, Hand
 from dgeval.worlds.scene import pose_of
 
-SAMPLES = 12  # of the closing motion; a fingertip moves by 1 to 2 cm from one to the next
+SAMPLES = 12  # of the closing motion; ours
 AROUND = 12  # points on the rim of a round solid
 LATTICE_M = 0.012  # between the points that fill an object, at most
 
@@ -117,7 +117,7 @@ def last_solids(model: mujoco.MjModel, hand: Hand) -> list[int]:
 
 
 def _points_of(model: mujoco.MjModel, geom: int) -> Array:
-    """Points (n, 3) m whose hull is a solid, in its own frame; a round one's within 2 % of it."""
+    """Points (n, 3) m whose hull is a solid, in its own frame; a round one's within 4 % of it."""
     kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
