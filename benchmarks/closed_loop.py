@@ -1,6 +1,7 @@
 """Success in closed loop by speed and object, beside the paper's, with Wilson intervals.
 
-`python -m benchmarks.closed_loop conveyor [--jobs 2] [--trials N] [--seed 0] [--faultless]`
+`python -m benchmarks.closed_loop conveyor [--jobs 2] [--trials N] [--seed 0] [--faultless]
+[--table-v]`
 
 Only outcomes are simulated, no causes. `dgeval simulate` and benchmarks.simulation give the causes
 and take three times as long.
@@ -19,18 +20,30 @@ from dgeval.determinism import limit_threads, set_thread_variables
 
 set_thread_variables()
 
+from dgeval.paper_values import CHOICE, CONTROL, OURS, departures  # noqa: E402
 from dgeval.simulation.campaign import Campaign, plan_of, simulate  # noqa: E402
 from dgeval.simulation.faults import Faults  # noqa: E402
-from dgeval.simulation.scenario import load_scenario  # noqa: E402
+from dgeval.simulation.scenario import Scenario, load_scenario  # noqa: E402
 
 from benchmarks.result import table, write  # noqa: E402
 from benchmarks.simulation import PUBLISHED, rates  # noqa: E402
 
 
-def outcome(name: str, seed: int, index: int, faultless: bool) -> dict[str, Any]:
+def without_ours(scenario: Scenario) -> Scenario:
+    """The scenario without the rules of ours of choice and control: Table V itself, but for c_e."""
+    changed: dict[str, Any] = {}
+    for name, inert in OURS.items():
+        section, key = name.split(".")
+        if section in (*CHOICE, *CONTROL):
+            part = changed.get(section, getattr(scenario.pipeline, section))
+            changed[section] = part.model_copy(update={key: inert})
+    return scenario.model_copy(update={"pipeline": scenario.pipeline.model_copy(update=changed)})
+
+
+def outcome(name: str, seed: int, index: int, faultless: bool, table_v: bool) -> dict[str, Any]:
     """Simulate one trial; returns its outcome as benchmarks.simulation.rates takes it."""
     limit_threads()
-    scenario = load_scenario(name)
+    scenario = without_ours(load_scenario(name)) if table_v else load_scenario(name)
     campaign = Campaign(scenario, seed, 1, Path("unused"))
     plan = plan_of(campaign, index)
     if faultless:
@@ -55,12 +68,20 @@ def main() -> None:
     parser.add_argument(
         "--faultless", action="store_true", help="no injected faults, as in the paper"
     )
+    parser.add_argument(
+        "--table-v",
+        action="store_true",
+        help="without the rules of ours of choice and control: Table V itself, but for c_e",
+    )
     options = parser.parse_args()
     scenario = load_scenario(options.scenario)
+    scenario = without_ours(scenario) if options.table_v else scenario
     trials = options.trials or scenario.trials
     with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         waiting = [
-            pool.submit(outcome, options.scenario, options.seed, k, options.faultless)
+            pool.submit(
+                outcome, options.scenario, options.seed, k, options.faultless, options.table_v
+            )
             for k in range(trials)
         ]
         results = [w.result() for w in waiting]
@@ -72,7 +93,10 @@ def main() -> None:
         "Modelled perception stands in for TransT-M and ICP in the loop"
         + ("" if scenario.grasps == "ffhnet" else ", an analytic sampler and score for FFHNet")
         + f"; executed above a score of {scenario.pipeline.execution.c_e}; "
-        + ("no injected faults." if options.faultless else "faults as in the scenario."),
+        + ("no injected faults" if options.faultless else "faults as in the scenario")
+        + "; not as in the paper: "
+        + (", ".join(departures(scenario.pipeline, (*CHOICE, *CONTROL))) or "nothing else")
+        + ".",
         *([rates(results, paper, "speed")] if len(scenario.speeds) > 1 else []),
         rates(results, paper, "object"),
         table(["ended", "trials"], rows),
@@ -89,6 +113,8 @@ def main() -> None:
     name = f"closed-loop-{options.scenario}"
     if options.faultless:
         name, command = f"{name}-faultless", f"{command} --faultless"
+    if options.table_v:
+        name, command = f"{name}-table-v", f"{command} --table-v"
     print(write(name, f"Closed loop: {options.scenario}", command, parts).read_text())
 
 

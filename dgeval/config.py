@@ -145,8 +145,45 @@ class PlaneConfig(Section):
     )
 
 
+def _weights_for(
+    is_chosen: bool, weights: str | None, key: str, value: str, weights_key: str
+) -> None:
+    """Refuse a network without its weights, and weights that nothing would read."""
+    if is_chosen and weights is None:
+        text = f'{key} = "{value}" needs {weights_key}, a file of the authors: none is shipped'
+        raise PydanticCustomError("weights", text)
+    if weights is not None and not is_chosen:
+        text = f'{weights_key} is read with {key} = "{value}" only'
+        raise PydanticCustomError("weights", text)
+
+
 class TrackingConfig(Section):
     method: str = "model"
+    weights: str | None = Field(
+        None, description="of `transt`: the authors' transtm_vot.pth, transtm.pth or transt.pth"
+    )
+    window_weight: float | None = Field(
+        None,
+        ge=0,
+        le=1,
+        description="of `transt`: how much a target near its last place is preferred; default: "
+        "0.574 with TransT-M's weights (VOT), 0.49 with TransT's",
+    )
+    update_iou: float = Field(
+        0.869,
+        description="of `transt`: predicted overlap above which the second template is made anew "
+        "(TransT-M, VOT)",
+    )
+    mask_above: float = Field(
+        0.60, ge=0, le=1, description="of `transt`: probability of the target's pixels (VOT)"
+    )
+    lost_below: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="of `transt`: the box's score below which the target is lost (ours: the paper "
+        "has no rule; not measured)",
+    )
     corners: int = Field(200, ge=8, description="image features followed on the target")
     keyframe_angle: float = Field(
         0.20, gt=0, description="rad; a new keyframe when the view has turned by this much"
@@ -179,6 +216,11 @@ class TrackingConfig(Section):
             text = "no such tracker, {hint}"
             raise PydanticCustomError("tracker", text, {"hint": error.hint}) from error
         return method
+
+    @model_validator(mode="after")
+    def _tracker_has_weights(self) -> TrackingConfig:
+        _weights_for(self.method == "transt", self.weights, "method", "transt", "weights")
+        return self
 
 
 class ObservationConfig(Section):
@@ -345,6 +387,13 @@ class VfasConfig(Section):
         description="seeds where none is recorded: a checkpoint of cgn-pytorch, or `installed`; "
         "default: dgeval's sampler",
     )
+    flow: Literal["dis", "gmflow"] = Field(
+        "dis",
+        description="optical flow of the motion field (paper: GMFlow, whose weights you give)",
+    )
+    flow_weights: str | None = Field(
+        None, description="of GMFlow: the authors' gmflow_*.pth, basic or with refinement"
+    )
     candidates: int = Field(64, ge=1, le=4096, description="N, grasps drawn per iteration (ours)")
     half_width: float = Field(0.02, gt=0, description="m on each axis of the seed (paper)")
     half_angle: float = Field(5.0, ge=0, description="degrees of pitch and yaw (paper)")
@@ -391,6 +440,11 @@ class VfasConfig(Section):
         True, description="without, the seed is executed as it is: the baseline of Table I"
     )
     gain: float = Field(2.0, gt=0, description="1/s of the proportional controller (ours)")
+
+    @model_validator(mode="after")
+    def _flow_has_weights(self) -> VfasConfig:
+        _weights_for(self.flow == "gmflow", self.flow_weights, "flow", "gmflow", "flow_weights")
+        return self
 
 
 class ExecutionConfig(Section):

@@ -31,6 +31,18 @@ PUBLISHED = {
         "FFHNet evaluator, published (30_eva_net.pt)"
     ),
 }
+# first digits of the SHA-256 of GMFlow's published files, which their names end with
+# (docs/papers.md, "Checkpoints")
+PUBLISHED_GMFLOW = {
+    "e9887eda": "GMFlow, published (gmflow_things)",
+    "0c07dcb3": "GMFlow, published (gmflow_sintel)",
+    "285701a8": "GMFlow, published (gmflow_kitti)",
+    "36579974": "GMFlow with refinement, published (gmflow_with_refine_things)",
+    "3ed1cf48": "GMFlow with refinement, published (gmflow_with_refine_sintel)",
+    "8d3b9786": "GMFlow with refinement, published (gmflow_with_refine_kitti)",
+}
+# of TransT's published files the names are known and the content isn't
+NAMES_OF_TRANST = ("transt.pth", "transtm.pth", "transtm_vot.pth")
 # (module, name) of the functions and types that PyTorch rebuilds a tensor with
 _REBUILD = {
     ("torch._utils", "_rebuild_tensor"),
@@ -200,4 +212,17 @@ def load_strictly(network: nn.Module, weights: dict[str, Tensor], source: str) -
 def published(path: Path) -> str | None:
     """Description of a published weights file, recognised by its SHA-256; None for any other."""
     with path.open("rb") as file:
-        return PUBLISHED.get(hashlib.file_digest(file, "sha256").hexdigest())
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return PUBLISHED.get(digest) or PUBLISHED_GMFLOW.get(digest[:8])
+
+
+def name_of_weights(path: Path) -> str:
+    """How a note calls a file of weights: as its authors do where it is known to be theirs."""
+    known = published(path)
+    if known is not None:
+        return known
+    if path.name in NAMES_OF_TRANST:
+        return f"weights {path.name} (named as the authors' file; whether it is theirs isn't known)"
+    if any(path.stem.endswith(f"-{prefix}") for prefix in PUBLISHED_GMFLOW):
+        return f"weights {path.name} (named as a published file, whose content is another)"
+    return f"weights {path.name}"

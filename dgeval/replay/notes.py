@@ -87,9 +87,7 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
             for key in values
         )
         notes.append(f"pipeline handover: {own}")
-    stand_in = tracker_named(config.tracking.method).STAND_IN
-    if stand_in is not None:
-        notes.append(f"stand-in: {stand_in} in place of TransT-M")
+    notes.append(tracker_note(config))
     if config.pipeline == "vfas":
         notes += departure_note(config, ("vfas",))
         return notes + vfas_notes(config, seed_of(trial) is not None, trial.robot.hand)
@@ -114,13 +112,32 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
     return notes
 
 
+def tracker_note(config: Config) -> str:
+    """What follows the target in the image: the paper's tracker, or what stands in for it."""
+    stand_in = tracker_named(config.tracking.method).STAND_IN
+    if stand_in is not None:
+        return f"stand-in: {stand_in} in place of TransT-M"
+    if config.tracking.weights is None:  # a tracker of a third party
+        return f"tracking by {config.tracking.method}"
+    from dgeval.networks.checkpoints import name_of_weights  # imports torch
+    from dgeval.networks.transt import TransTM
+    from dgeval.perception.trackers.transt import transt_of
+
+    name = name_of_weights(Path(config.tracking.weights))
+    network = transt_of(config.tracking.weights)
+    if isinstance(network, TransTM) and network.has_mask:
+        return f"tracking by TransT-M, {name}"
+    lacks = "the mask" if isinstance(network, TransTM) else "the mask and new templates"
+    return f"stand-in: {name}, which lack TransT-M's parts for {lacks}; depth steps give the mask"
+
+
 def ffhnet_notes(config: Config) -> list[str]:
     """The weights of FFHNet, and their threshold."""
-    from dgeval.networks.checkpoints import published
+    from dgeval.networks.checkpoints import name_of_weights
     from dgeval.planning.grasps import networks_of  # imports torch
 
     given = [Path(f) for f in (config.grasps.generator, config.grasps.evaluator) if f is not None]
-    names = [published(path) or f"weights {path.name}" for path in given]
+    names = [name_of_weights(path) for path in given]
     weights = ", ".join(names if len(names) == 2 else [*names, "dgeval's own weights"])
     own, given_c_e = networks_of(config.grasps).c_e, config.execution.c_e
     closes = f"closing above a score of {own:g}, the threshold of these weights"
@@ -131,6 +148,7 @@ def ffhnet_notes(config: Config) -> list[str]:
 
 def vfas_notes(config: Config, seeded: bool, hand: Hand | None) -> list[str]:
     """What ran in place of VFAS-Grasp's own parts. hand: of the log."""
+    from dgeval.networks.checkpoints import name_of_weights
     from dgeval.planning.vfas.gripper import ALIKE_M, apart, gripper_of, trained_gripper
 
     weights = config.vfas.evaluator
@@ -150,7 +168,9 @@ def vfas_notes(config: Config, seeded: bool, hand: Hand | None) -> list[str]:
             f"({gripper.told}); it was trained with one of {trained.opening:.3f} m, whose links "
             f"lie {off * 1000:.0f} mm beside on average: how well it scores this one is not known"
         )
-    if config.vfas.motion_field:
+    if config.vfas.motion_field and config.vfas.flow_weights is not None:
+        notes.append(f"optical flow by GMFlow, {name_of_weights(Path(config.vfas.flow_weights))}")
+    elif config.vfas.motion_field:
         notes.append("stand-in: DIS in place of GMFlow")
     if not seeded and not config.vfas.search:
         seeds = config.vfas.contact_graspnet

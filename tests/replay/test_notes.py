@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dgeval.config import load_config
+from dgeval.networks import checkpoints
+from dgeval.networks.transt import TransT, TransTM
 from dgeval.perception.pipeline import Perceived
+from dgeval.perception.trackers import transt
 from dgeval.perception.types import Fused, Observation, Tracked
-from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
+from dgeval.replay.notes import FrameCounts, self_filter_of, tracker_note, trial_notes
 from dgeval.runs.target_told import FirstSeen, target_checks
 from tests.replay.test_row import step_of
 from tests.verdict.synthetic_trial import trial_of
@@ -50,6 +53,23 @@ def test_notes_name_stand_ins_and_what_was_left_out() -> None:
         "stand-in: the recorded grasp in place of FFHNet; hand_score as recorded",
     ]
     assert trial.notes == ("of the recording",)
+
+
+def test_the_weights_that_track_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches the paper's tracker said to run with weights that lack its mask, and no name."""
+    said = []
+    for network in (TransTM(), TransTM(has_mask=False), TransT()):
+        monkeypatch.setattr(transt, "transt_of", lambda _, network=network: network)
+        monkeypatch.setattr(checkpoints, "published", lambda _: None)
+        config = load_config("dynamic", ("tracking.method=transt", "tracking.weights=a/own.pth"))
+        said.append(tracker_note(config))
+    assert said == [
+        "tracking by TransT-M, weights own.pth",
+        "stand-in: weights own.pth, which lack TransT-M's parts for the mask; depth steps give the "
+        "mask",
+        "stand-in: weights own.pth, which lack TransT-M's parts for the mask and new templates; "
+        "depth steps give the mask",
+    ]
 
 
 def test_a_handover_that_is_replayed_as_something_else_is_told() -> None:

@@ -1736,6 +1736,66 @@ MUTANTS = [
         "            pass",
         "tests/verdict/test_verdict.py::test_surface_forgets_what_one_frame_took_for_the_object",
     ),
+    Mutant(
+        "dgeval/networks/gmflow.py",
+        "self.k_proj(query)[None]",
+        "self.k_proj(cells)[None]",
+        "tests/networks/test_gmflow.py",
+    ),
+    Mutant(
+        "dgeval/networks/gmflow.py",
+        "mask if k % 2 else None",
+        "None",
+        "tests/networks/test_gmflow.py",
+    ),
+    Mutant(
+        "dgeval/planning/vfas/motion_field.py",
+        "last[0] is before",
+        "True",
+        "tests/networks/test_gmflow.py",
+    ),
+    Mutant(
+        "dgeval/networks/transt.py",
+        "self.layer3 = _layer(512, 256, 6, 1, 2)",
+        "self.layer3 = _layer(512, 256, 6, 1, 1)",
+        "tests/networks/test_transt.py",
+    ),
+    Mutant(
+        "dgeval/networks/transt.py",
+        "MASK_TOKEN = 119",
+        "MASK_TOKEN = 120",
+        "tests/networks/test_transt.py",
+    ),
+    Mutant(
+        "dgeval/networks/transt.py",
+        "logits.flatten().softmax(0)",
+        "logits.softmax(1)",
+        "tests/networks/test_transt.py",
+    ),
+    Mutant(
+        "dgeval/perception/trackers/transt.py",
+        "found.score < c.lost_below or",
+        "",
+        "tests/perception/test_transt_tracker.py",
+    ),
+    Mutant(
+        "dgeval/perception/trackers/transt.py",
+        "mask = free & (found",
+        "mask = (found",
+        "tests/perception/test_transt_tracker.py",
+    ),
+    Mutant(
+        "dgeval/networks/transt_loop.py",
+        "- (side + 1) / 2 + 0.5",
+        "- (side + 1) / 2",
+        "tests/networks/test_transt.py",
+    ),
+    Mutant(
+        "dgeval/networks/transt_loop.py",
+        "(self._templates[0], self._template(image))",
+        "(self._templates[0], self._templates[0])",
+        "tests/networks/test_transt.py",
+    ),
 ]
 
 

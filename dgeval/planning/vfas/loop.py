@@ -10,14 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dgeval.config import Config
+from dgeval.config import Config, VfasConfig
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.networks.contact_graspnet import CENTRES, ContactGraspNet, load_contact_graspnet
 from dgeval.networks.pointnet2 import GraspEvaluator, load_evaluator
 from dgeval.perception.self_filter import hand_pixels
 from dgeval.planning.vfas.gripper import Gripper
-from dgeval.planning.vfas.motion_field import MotionField, dis_flow
+from dgeval.planning.vfas.motion_field import Flow, MotionField, dis_flow, gmflow
 from dgeval.planning.vfas.selection import GraspJudge, Selected, Vfas, perturbed
 from dgeval.recording.frame import Frame
 
@@ -107,6 +107,11 @@ def contact_graspnet_of(weights: str) -> ContactGraspNet:
     return load_contact_graspnet(None if weights == "installed" else Path(weights))
 
 
+def flow_of(config: VfasConfig) -> Flow:
+    """The optical flow that is configured. UsageError if its weights can't be read."""
+    return dis_flow() if config.flow_weights is None else gmflow(Path(config.flow_weights))
+
+
 def seed_from_contacts(
     cloud: Array, network: ContactGraspNet, judge: GraspJudge, seed: int
 ) -> Array | None:
@@ -156,7 +161,7 @@ class VfasLoop:
             network, trained = GraspEvaluator(sizes).eval(), network
             network.load_state_dict(trained.state_dict())
         self._judge = GraspJudge(network, c, gripper)
-        self._motion = MotionField(dis_flow())
+        self._motion = MotionField(flow_of(config.vfas))
         self._planner: Vfas | None = None
         self._last_ns = 0
         self.velocity: Array | None = None

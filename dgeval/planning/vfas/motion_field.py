@@ -1,12 +1,14 @@
 """VFAS-Grasp's motion field: optical flow lifted with depth, averaged near the grasp.
 
-The camera's own motion is taken out. OpenCV's DIS is used in place of GMFlow (a transformer on a
-GPU); `flow` takes another method.
+The camera's own motion is taken out. The flow is GMFlow's where its weights are given, which are
+not shipped; else OpenCV's DIS stands in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,9 +16,9 @@ from numpy.typing import NDArray
 
 from dgeval.geometry import Array, Intrinsics, transform
 
-Grey = NDArray[np.uint8]
-# two grey images (h, w) -> displacement (h, w, 2) px of the first one's pixels
-Flow = Callable[[Grey, Grey], NDArray[np.float32]]
+Image = NDArray[np.uint8]  # (h, w, 3) RGB
+# two images of one size -> displacement (h, w, 2) px of the first one's pixels
+Flow = Callable[[Image, Image], NDArray[np.float32]]
 MOST = 4000  # pixels that are lifted, about
 LEAST = 10  # points; with fewer there is no velocity
 # share left out at each end, along each axis: flow across an edge ends on another surface
@@ -26,7 +28,33 @@ TRIM = 0.2
 def dis_flow() -> Flow:
     """Dense inverse search (Kroeger, ECCV 2016), OpenCV's medium preset."""
     method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    return lambda before, now: np.asarray(method.calc(before, now, None), dtype=np.float32)
+
+    def flow(before: Image, now: Image) -> NDArray[np.float32]:
+        first, second = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (before, now))
+        return np.asarray(method.calc(first, second, None), dtype=np.float32)
+
+    return flow
+
+
+def gmflow(weights: Path) -> Flow:
+    """GMFlow with a file's weights. A frame's features are made once, for both of its pairs.
+
+    Raises UsageError if the weights can't be read or don't fit.
+    """
+    from dgeval.networks.gmflow import load_gmflow  # imports torch
+
+    network = load_gmflow(weights)
+    last: tuple[Image, tuple[Any, ...]] | None = None
+
+    def flow(before: Image, now: Image) -> NDArray[np.float32]:
+        nonlocal last
+        is_kept = last is not None and last[0] is before
+        first = last[1] if last is not None and is_kept else network.features(before)
+        second = network.features(now)
+        last = (now, second)
+        return network.match(first, second, *before.shape[:2])
+
+    return flow
 
 
 class MotionField:
@@ -34,7 +62,7 @@ class MotionField:
 
     def __init__(self, flow: Flow) -> None:
         self._flow = flow
-        self._previous: tuple[int, Grey, NDArray[np.float32], Array] | None = None
+        self._previous: tuple[int, Image, NDArray[np.float32], Array] | None = None
 
     def step(
         self,
@@ -52,11 +80,10 @@ class MotionField:
         for none. Both ends of the flow are lifted with their own frame's depth and camera pose, so
         that a moving wrist does not look like a moving object (docs/papers.md, "Lifting the flow").
         """
-        grey = np.ascontiguousarray(cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY))
-        previous, self._previous = self._previous, (t_ns, grey, depth, T_base_camera)
+        previous, self._previous = self._previous, (t_ns, colour, depth, T_base_camera)
         if previous is None or t_ns <= previous[0]:
             return None
-        previous_ns, previous_grey, previous_depth, T_base_previous = previous
+        previous_ns, previous_colour, previous_depth, T_base_previous = previous
         v, u = np.nonzero(previous_depth > 0)
         step = max(1, len(u) // (4 * MOST))
         v, u = v[::step], u[::step]
@@ -68,7 +95,7 @@ class MotionField:
             return None
         near = near[:: max(1, len(near) // MOST)]
         u, v, start = u[near], v[near], start[near]
-        moved = self._flow(previous_grey, grey)[v, u]
+        moved = self._flow(previous_colour, colour)[v, u]
         to_u, to_v = u + moved[:, 0], v + moved[:, 1]
         iu, iv = np.rint(to_u).astype(int), np.rint(to_v).astype(int)
         inside = (iu >= 0) & (iv >= 0) & (iu < camera.width) & (iv < camera.height)
