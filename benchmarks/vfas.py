@@ -2,7 +2,7 @@
 
 Static objects before and after refinement, turntable with and without adaptive sampling, handover.
 
-`python -m benchmarks.vfas [--jobs 2] [--seed 0] [--only static,turntable,handover]`
+`python -m benchmarks.vfas [--jobs 2] [--seed 0] [--only static,turntable,handover] [--delay MS]`
 
 Outcomes of finished trials are kept in OUT (default runs/vfas) and not simulated again. The causes
 of failures come from `dgeval simulate table-clearing` and so on.
@@ -58,25 +58,28 @@ STAND_INS = (
 )
 
 
-def scenario_of(name: str, changes: dict[str, Any]) -> Scenario:
-    """A scenario with other values in its `vfas` section."""
+def scenario_of(name: str, changes: dict[str, Any], delay_ms: int) -> Scenario:
+    """A scenario with other values in its `vfas` section, and a planner that takes delay_ms."""
     scenario = load_scenario(name)
     vfas = scenario.pipeline.vfas.model_copy(update=changes)
-    return scenario.model_copy(
-        update={"pipeline": scenario.pipeline.model_copy(update={"vfas": vfas})}
+    schedule = scenario.pipeline.schedule.model_copy(
+        update={"perception_latency_s": delay_ms / 1000}
     )
+    pipeline = scenario.pipeline.model_copy(update={"vfas": vfas, "schedule": schedule})
+    return scenario.model_copy(update={"pipeline": pipeline})
 
 
-def outcome(arm: str, seed: int, index: int, out: Path) -> dict[str, Any]:
+def outcome(arm: str, seed: int, index: int, out: Path, delay_ms: int) -> dict[str, Any]:
     """Simulate one trial, or read its kept result.
 
     ended: one of ENDS. jump_mm, jump_deg: median jump of the selected grasp during the approach.
     """
     limit_threads()
-    scenario = scenario_of(*ARMS[arm])
+    scenario = scenario_of(*ARMS[arm], delay_ms)
     campaign = Campaign(scenario, seed, 1, out)
     plan = plan_of(campaign, index)
-    path = out / arm.replace(", ", "-").replace(" ", "-") / f"{plan.id}.json"
+    folder = arm.replace(", ", "-").replace(" ", "-") + (f"-{delay_ms}ms" if delay_ms else "")
+    path = out / folder / f"{plan.id}.json"
     if path.is_file():
         kept: dict[str, Any] = json.loads(path.read_text())
         if kept["sources"] == source_digest():
@@ -169,14 +172,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--trials", type=int, help="of each arm; default: the paper's number")
     parser.add_argument("--only", default="static,turntable,handover")
+    parser.add_argument(
+        "--delay", type=int, default=0, help="ms from an image to the planner's answer"
+    )
     parser.add_argument("--out", type=Path, default=Path("runs/vfas"))
     options = parser.parse_args()
     arms = [a for a in ARMS if a.split(",")[0] in options.only.split(",")]
     with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         waiting = {
             arm: [
-                pool.submit(outcome, arm, options.seed, k, options.out)
-                for k in range(options.trials or scenario_of(*ARMS[arm]).trials)
+                pool.submit(outcome, arm, options.seed, k, options.out, options.delay)
+                for k in range(options.trials or scenario_of(*ARMS[arm], 0).trials)
             ]
             for arm in arms
         }
@@ -203,9 +209,11 @@ def main() -> None:
         ]
         command = f"python -m benchmarks.vfas --only {kind} --seed {options.seed}"
         command += f" --trials {options.trials}" if options.trials else ""
-        print(
-            write(f"vfas-{kind}", f"VFAS-Grasp in closed loop: {kind}", command, parts).read_text()
-        )
+        name, title = f"vfas-{kind}", f"VFAS-Grasp in closed loop: {kind}"
+        if options.delay:
+            command += f" --delay {options.delay}"
+            name, title = f"{name}-{options.delay}ms", f"{title}, {options.delay} ms late"
+        print(write(name, title, command, parts).read_text())
 
 
 if __name__ == "__main__":

@@ -434,7 +434,7 @@ MUTANTS = [
     ),
     Mutant(
         DRAWS,
-        "except ValueError as error:",
+        "except (ValueError, QhullError) as error:",
         "except KeyError as error:",
         f"{TEST_DECIDE}::test_a_cloud_without_a_solid_has_no_decision_and_says_why",
     ),
@@ -1690,8 +1690,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/choices.py",
-        "    return None if T_base_parent is None else T_base_parent @ T",
-        "    return T if T_base_parent is None else T_base_parent @ T",
+        "            return T_base_parent @ T\n    return None",
+        "            return T_base_parent @ T\n    return T",
         "tests/recording/test_choices.py::test_a_pose_in_a_frame_that_nothing_places_is_not_taken_as_of_the_base",
     ),
     Mutant(
