@@ -2,7 +2,8 @@
 
 Static objects before and after refinement, turntable with and without adaptive sampling, handover.
 
-`python -m benchmarks.vfas [--jobs 2] [--seed 0] [--only static,turntable,handover] [--delay MS]`
+`python -m benchmarks.vfas [--jobs 2] [--seed 0] [--only static,turntable,handover] [--delay MS]
+[--contact-graspnet current.pth]`
 
 Outcomes of finished trials are kept in OUT (default runs/vfas) and not simulated again. The causes
 of failures come from `dgeval simulate table-clearing` and so on.
@@ -56,11 +57,22 @@ STAND_INS = (
     "place of Contact-GraspNet's; DIS stands in for GMFlow; the evaluator is dgeval's own; fingers "
     "slide. Intervals: Wilson, 95 %."
 )
+BY_CONTACTS = (
+    "Seeds are Contact-GraspNet's (cgn-pytorch), on the target's true mask in place of Mask "
+    "R-CNN's, ranked by the arm's joint limits; DIS stands in for GMFlow; the evaluator is "
+    "dgeval's own; fingers slide. Intervals: Wilson, 95 %."
+)
 
 
-def scenario_of(name: str, changes: dict[str, Any], delay_ms: int) -> Scenario:
-    """A scenario with other values in its `vfas` section, and a planner that takes delay_ms."""
+def scenario_of(
+    name: str, changes: dict[str, Any], delay_ms: int, contact_graspnet: str | None
+) -> Scenario:
+    """A scenario with other values in its `vfas` section, and a planner that takes delay_ms.
+
+    contact_graspnet: weights of the network that gives the seeds; None: known grasps.
+    """
     scenario = load_scenario(name)
+    changes = changes | {"contact_graspnet": contact_graspnet}
     vfas = scenario.pipeline.vfas.model_copy(update=changes)
     schedule = scenario.pipeline.schedule.model_copy(
         update={"perception_latency_s": delay_ms / 1000}
@@ -69,16 +81,19 @@ def scenario_of(name: str, changes: dict[str, Any], delay_ms: int) -> Scenario:
     return scenario.model_copy(update={"pipeline": pipeline})
 
 
-def outcome(arm: str, seed: int, index: int, out: Path, delay_ms: int) -> dict[str, Any]:
+def outcome(
+    arm: str, seed: int, index: int, out: Path, delay_ms: int, contact_graspnet: str | None
+) -> dict[str, Any]:
     """Simulate one trial, or read its kept result.
 
     ended: one of ENDS. jump_mm, jump_deg: median jump of the selected grasp during the approach.
     """
     limit_threads()
-    scenario = scenario_of(*ARMS[arm], delay_ms)
+    scenario = scenario_of(*ARMS[arm], delay_ms, contact_graspnet)
     campaign = Campaign(scenario, seed, 1, out)
     plan = plan_of(campaign, index)
     folder = arm.replace(", ", "-").replace(" ", "-") + (f"-{delay_ms}ms" if delay_ms else "")
+    folder += "-contact-graspnet" if contact_graspnet else ""
     path = out / folder / f"{plan.id}.json"
     if path.is_file():
         kept: dict[str, Any] = json.loads(path.read_text())
@@ -175,21 +190,25 @@ def main() -> None:
     parser.add_argument(
         "--delay", type=int, default=0, help="ms from an image to the planner's answer"
     )
+    parser.add_argument(
+        "--contact-graspnet", help="its weights, for seeds of the static arms; default: known ones"
+    )
     parser.add_argument("--out", type=Path, default=Path("runs/vfas"))
     options = parser.parse_args()
+    weights: str | None = options.contact_graspnet
     arms = [a for a in ARMS if a.split(",")[0] in options.only.split(",")]
     with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         waiting = {
             arm: [
-                pool.submit(outcome, arm, options.seed, k, options.out, options.delay)
-                for k in range(options.trials or scenario_of(*ARMS[arm], 0).trials)
+                pool.submit(outcome, arm, options.seed, k, options.out, options.delay, weights)
+                for k in range(options.trials or load_scenario(ARMS[arm][0]).trials)
             ]
             for arm in arms
         }
         results = {arm: [w.result() for w in results_of] for arm, results_of in waiting.items()}
     for kind in options.only.split(","):
         results_of = {arm: rows for arm, rows in results.items() if arm.split(",")[0] == kind}
-        parts = [STAND_INS, by(results_of, "object")]
+        parts = [STAND_INS if weights is None else BY_CONTACTS, by(results_of, "object")]
         if kind == "turntable":
             parts.append("By nominal speed, mm/s:\n\n" + by(results_of, "group"))
         if len(results_of) == 2:
@@ -213,6 +232,9 @@ def main() -> None:
         if options.delay:
             command += f" --delay {options.delay}"
             name, title = f"{name}-{options.delay}ms", f"{title}, {options.delay} ms late"
+        if weights is not None:
+            command += f" --contact-graspnet {Path(weights).name}"
+            name, title = f"{name}-contact-graspnet", f"{title}, seeds by Contact-GraspNet"
         print(write(name, title, command, parts).read_text())
 
 

@@ -17,40 +17,23 @@ from dgeval.planning.carried import Belief
 from dgeval.planning.control import Choice, GraspResult, HandState
 from dgeval.planning.grasps import networks_of
 from dgeval.planning.proposals import Chooser, Proposals, drawn_proposals
-from dgeval.planning.reachability import Arm, arm_of
+from dgeval.planning.recorded_arm import RecordedArm
 from dgeval.planning.schedule import Delayed
 from dgeval.recording.robot import RobotStates
-
-
-def recorded_arm(robot: RobotStates) -> Arm | str:
-    """The arm that brings the palm to a grasp; in words why its reach can't be asked."""
-    description, base, palm = robot.description, robot.base_frame, robot.palm_frame
-    if description is None or base is None or palm is None:
-        return "no robot description" if description is None else "no pose of the palm in a base"
-    arm = arm_of(description, base, palm)
-    if isinstance(arm, str):
-        return arm
-    missing = [joint.name for joint in arm.movable if joint.name not in robot.joints.times]
-    if missing:
-        return f"its joint {missing[0]!r} is not recorded"
-    first_ns = robot.joints.first_ns(arm.movable[0])
-    if arm.base != base and robot.tree.lookup(arm.base, base, first_ns) is None:
-        return f"nothing says where its base {arm.base!r} is in {base!r}"
-    return arm
 
 
 class ModelGrasps:
     """Candidates of the newest usable frame, carried with the model, and the one chosen last."""
 
     def __init__(self, robot: RobotStates, config: Config) -> None:
-        self._config, self._joints = config, robot.joints
+        self._config = config
         self._networks = networks_of(config.grasps)
         self.c_e = self._networks.c_e
         self._coming: Delayed[Proposals] = Delayed(config.schedule.grasps_latency_s)
         self._chooser = Chooser(config.selection, self._reaches)
         # T_model_palm (4, 4) and joint angles (n,) rad of the grasp chosen last
         self._kept: tuple[Array, Array] | None = None
-        self._robot, self._arm = robot, recorded_arm(robot)
+        self._arm = RecordedArm(robot, config.sync.max_pose_gap_s)
         self._t_ns = 0
 
     def see(
@@ -124,17 +107,5 @@ class ModelGrasps:
 
     def _reaches(self, T_base_palm: Array) -> bool:
         """Whether the arm reaches a pose (4, 4) from where it is; True where that is not known."""
-        arm, base = self._arm, self._robot.base_frame
-        if isinstance(arm, str) or base is None:
-            return True
-        T_arm_base = np.eye(4)
-        if arm.base != base:
-            found = self._robot.tree.lookup(arm.base, base, self._t_ns)
-            if found is None:
-                return True
-            T_arm_base = found
-        gap = round(self._config.sync.max_pose_gap_s * 1e9)
-        q = [self._joints.at(joint.name, self._t_ns, gap) for joint in arm.movable]
-        if any(value is None for value in q):
-            return True
-        return arm.solve(T_arm_base @ T_base_palm, np.array(q, dtype=float)) is not None
+        arm = self._arm.at(self._t_ns)
+        return arm is None or arm.solve(T_base_palm) is not None

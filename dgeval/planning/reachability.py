@@ -78,6 +78,18 @@ class Arm:
                 return np.asarray(found)
         return None
 
+    def room(self, q: Array) -> float:
+        """How far joint positions (n,) are from the limits: 1 in the middle of all, 0 at one.
+
+        The least over the joints; a joint without limits counts as in the middle.
+        """
+        low, high = self._chain[3], self._chain[4]
+        wide = np.isfinite(high - low) & (high > low)
+        if not wide.any():
+            return 1.0
+        nearest = np.minimum(q - low, high - q)[wide] / (high - low)[wide]
+        return float(2 * nearest.min())
+
     @cached_property
     def _starts(self) -> Array:
         """(STARTS - 1, n) joint positions within the limits."""

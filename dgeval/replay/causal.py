@@ -155,7 +155,8 @@ def replay(
             last_ns = frame.t_ns
         clock.lap("control")
         perceived = perception.step(frame, T_base_camera, box, clock.lap)
-        vfas = None if planner is None else planner.step(frame, T_base_camera)
+        seen = perceived.observation
+        vfas = None if planner is None else planner.step(frame, T_base_camera, seen)
         control = None
         if controller is not None:
             if T_base_camera is not None:  # else the belief before is carried on
@@ -284,11 +285,13 @@ def seed_of(trial: Trial) -> Array | None:
 def _planner(trial: Trial, config: Config) -> VfasGrasps | None:
     if config.pipeline != "vfas":
         return None
+    from dgeval.planning.recorded_arm import RecordedArm
     from dgeval.planning.vfas.gripper import gripper_of
     from dgeval.planning.vfas.replayed import VfasGrasps  # imports torch
 
     gripper = gripper_of(trial.robot.hand)
-    return VfasGrasps(config, seed_of(trial), None if isinstance(gripper, str) else gripper)
+    arm = RecordedArm(trial.robot, config.sync.max_pose_gap_s).at(trial.pairs[0].t_ns)
+    return VfasGrasps(config, seed_of(trial), None if isinstance(gripper, str) else gripper, arm)
 
 
 def _palm_at(robot: RobotStates, close_ns: int | None) -> Array | None:

@@ -97,7 +97,7 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
     if source == "recorded":
         notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
     elif source == "ffhnet":
-        from dgeval.planning.model_grasps import recorded_arm  # imports torch
+        from dgeval.planning.recorded_arm import recorded_arm
 
         if isinstance(arm := recorded_arm(trial.robot), str):
             notes.append(f"no grasp was refused for the arm's reach, which is not known: {arm}")

@@ -109,7 +109,7 @@ def run_trial(
     believed: Belief | None = None
     due: int | None = None
     fault_ns = round(faults.latency * 1e9)
-    arm = _arm(world)
+    arm = arm_in(world)
     chooser = Chooser(config.selection, lambda pose: arm.solve(pose, world.q_set) is not None)
     kept: tuple[Array, Array] | None = None
     fingers = hand.open.copy()
@@ -250,7 +250,7 @@ def limited(twist: Array) -> Array:
     return np.asarray(twist * min(1.0, float((MAX_TWIST / (np.abs(twist) + 1e-12)).min())))
 
 
-def _arm(world: World) -> Arm:
+def arm_in(world: World) -> Arm:
     """The arm as its description has it, with which replay asks for its reach."""
     hand = world.gripper
     description = load_description(robot_urdf(hand.T_hand_camera, hand), "the arm", (), 0.01)

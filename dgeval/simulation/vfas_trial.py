@@ -8,19 +8,23 @@ from importlib import resources
 
 import numpy as np
 
+from dgeval.config import Config
 from dgeval.determinism import generator
 from dgeval.failure_rule import NEAR_M
-from dgeval.geometry import Array, increment, matrix_from_pose, rotation_angle
+from dgeval.geometry import Array, increment, matrix_from_pose, rotation_angle, transform
 from dgeval.planning.schedule import Delayed
-from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
+from dgeval.planning.vfas.contacts import by_room, contact_graspnet_of, seed_from_contacts
+from dgeval.planning.vfas.gripper import trained_gripper
+from dgeval.planning.vfas.loop import VfasLoop, proportional_twist, scene_cloud
 from dgeval.planning.vfas.selection import Selected
+from dgeval.robots.description import Description
 from dgeval.robots.loading import load_description
 from dgeval.robots.urdf import robot_urdf
 from dgeval.simulation.jaw_grasps import search
 from dgeval.simulation.render import Renderer
 from dgeval.simulation.scenario import Plan, Scenario
 from dgeval.simulation.seeing import Images, camera_frame
-from dgeval.simulation.trial import FrameBelief, Run, Tick, frame_ticks, limited
+from dgeval.simulation.trial import FrameBelief, Run, Tick, arm_in, frame_ticks, limited
 from dgeval.simulation.vfas_plan import waiting_pose
 from dgeval.simulation.world import FINISH_S, Finish, World
 from dgeval.worlds.closing import CONTROL_S, TRUTH_STEP
@@ -52,6 +56,45 @@ def known_jaw_grasps(world: World) -> list[Array]:
     if world.target.name in shipped:
         return [matrix_from_pose(np.array(g)) for g in shipped[world.target.name]]
     return search(world.target, 12, 5)
+
+
+def proposed_seed(
+    plan: Plan, config: Config, world: World, renderer: Renderer, hand: Description
+) -> Seed | None:
+    """Contact-GraspNet's seed on the target, seen from above the table; None if there is none.
+
+    The target's true mask stands in for Mask R-CNN's. A pre-grasp pose at which the hand touches
+    something is none that a motion planner would go to.
+    """
+    assert config.vfas.contact_graspnet is not None
+    world.start(NEAR_HOME, world.gripper.open, plan.x, plan.y, plan.yaw, 0.0)
+    frame, _, _ = camera_frame(0, 0, world, renderer, hand, 95)
+    assert frame.T_base_camera is not None
+    v, u = np.nonzero(renderer.mask() & (frame.depth > 0))
+    points = frame.camera.backproject(u, v, frame.depth[v, u].astype(np.float64))
+    target = transform(frame.T_base_camera, points)
+    arm, back = arm_in(world), at(0, 0, -config.vfas.pregrasp)
+
+    def reach(T: Array) -> float | None:
+        q = arm.solve(T, NEAR_HOME)
+        return None if q is None else arm.room(q)
+
+    def rank(poses: Array) -> Array:
+        marks = by_room(reach, config.vfas.pregrasp, poses)
+        for k in np.flatnonzero(np.isfinite(marks)):
+            world.q_set = NEAR_HOME
+            world.put_arm(poses[k] @ back)
+            touch = world.touch()
+            if touch.object or touch.other:
+                marks[k] = -np.inf
+        return marks
+
+    cloud = scene_cloud(frame, frame.T_base_camera, config.self_filter.margin)
+    network = contact_graspnet_of(config.vfas.contact_graspnet)
+    opening = trained_gripper().opening
+    T = seed_from_contacts(cloud, target, network, rank, opening, config.seed)
+    q = None if T is None else arm.solve(T @ back, NEAR_HOME)
+    return None if q is None else Seed(T, q)
 
 
 def seed_for(plan: Plan, scenario: Scenario, world: World) -> Seed | None:
@@ -103,7 +146,14 @@ def run_vfas(
     run = Run(plan, preshape=world.gripper.open.copy())
     kept: dict[int, Images] = {}
     config = scenario.pipeline.model_copy(update={"seed": plan.seed * 100_003 + plan.index})
-    seed = seed_for(plan, scenario, world)
+    urdf = robot_urdf(world.gripper.T_hand_camera, world.gripper)
+    hand_model = load_description(
+        urdf, "the simulated robot", (), config.self_filter.radius_default
+    )
+    if world.presenter is None and config.vfas.contact_graspnet is not None:
+        seed = proposed_seed(plan, config, world, renderer, hand_model)
+    else:
+        seed = seed_for(plan, scenario, world)
     world.start(
         NEAR_HOME if seed is None else seed.q_arm, world.gripper.open, plan.x, plan.y, plan.yaw, 0.0
     )
@@ -125,10 +175,6 @@ def run_vfas(
         )
         return run, kept
     run.T_base_seed = seed.T_base_seed
-    urdf = robot_urdf(world.gripper.T_hand_camera, world.gripper)
-    hand_model = load_description(
-        urdf, "the simulated robot", (), config.self_filter.radius_default
-    )
     loop = VfasLoop(config, seed.T_base_seed)
     arriving: Delayed[Selected] = Delayed(config.schedule.perception_latency_s)
     frames = set(frame_ticks(scenario.camera.rate, scenario.max_seconds + FINISH_S + 1))

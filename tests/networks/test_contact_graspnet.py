@@ -22,7 +22,8 @@ from dgeval.networks.contact_graspnet import (
     ContactGraspNet,
     load_contact_graspnet,
 )
-from dgeval.planning.vfas.loop import evaluator_of, seed_from_cloud, seed_from_contacts
+from dgeval.planning.vfas.contacts import seed_from_contacts
+from dgeval.planning.vfas.loop import evaluator_of, seed_from_cloud
 from dgeval.planning.vfas.selection import GraspJudge
 from dgeval.robots.parallel_jaw import OPENING
 
@@ -156,10 +157,14 @@ def test_grasps_lie_between_the_jaws_whatever_the_origin() -> None:
 
 
 def test_seed_is_among_the_confident_ones() -> None:
-    """Catches a seed of low score, one the evaluator would not choose, a crash on a small cloud."""
+    """Catches another network than the one given, and a crash on a small cloud."""
     cloud = np.random.default_rng(0).uniform(-0.15, 0.15, (N, 3))
     network, judge = network_with_fixed_weights(), GraspJudge(evaluator_of(None), VfasConfig())
-    T = seed_from_contacts(cloud, network, judge, 3)
+
+    def rank(poses: np.ndarray) -> np.ndarray:
+        return judge.quality([cloud], poses)[0]
+
+    T = seed_from_contacts(cloud, None, network, rank, OPENING, 3)
     assert T is not None
     grasps = network.grasps(cloud)
     assert grasps.width.max() < OPENING
@@ -167,7 +172,7 @@ def test_seed_is_among_the_confident_ones() -> None:
     assert np.abs(confident - T).max(axis=(1, 2)).min() < 1e-3
     quality = judge.quality([cloud], np.concatenate([T[None], confident[:20]]))[0]
     assert quality[0] >= quality[1:].max() - 0.05
-    assert seed_from_contacts(cloud[:2000], network, judge, 3) is None
+    assert seed_from_contacts(cloud[:2000], None, network, rank, OPENING, 3) is None
 
 
 def test_checkpoint_container_and_its_absence(tmp_path: Path) -> None:

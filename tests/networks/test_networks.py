@@ -41,8 +41,9 @@ from dgeval.planning.grasps import (
     propose,
 )
 from dgeval.planning.hand_overlap import standing_points
-from dgeval.planning.model_grasps import ModelGrasps, recorded_arm
+from dgeval.planning.model_grasps import ModelGrasps
 from dgeval.planning.reachability import Arm, arm_of
+from dgeval.planning.recorded_arm import RecordedArm, recorded_arm
 from dgeval.recording.messages import JointSample
 from dgeval.recording.robot import JointTrack
 from dgeval.robots.diana7 import LOWER, UPPER, ArmKinematics
@@ -534,6 +535,14 @@ def test_an_arm_that_stands_in_a_world_is_asked_in_its_own_frame() -> None:
     near = arm.palm(HOME)[0]
     assert grasps._reaches(invert(turned) @ near)
     assert not grasps._reaches(near)
+    now = RecordedArm(robot, 0.5).at(0)
+    assert now is not None
+    assert now.room(near) is None
+    assert now.room(invert(turned) @ near) == pytest.approx(arm.room(HOME), abs=1e-3)
+    low, high = (np.array([getattr(j, e) for j in arm.movable]) for e in ("lower", "upper"))
+    assert arm.room((low + high) / 2) == pytest.approx(1.0)
+    assert arm.room(np.append(high[:-1] / 2 + low[:-1] / 2, high[-1])) == pytest.approx(0.0)
+    assert arm.room((3 * low + high) / 4) == pytest.approx(0.5)
     robot.tree = SimpleNamespace(lookup=lambda *_: None)
     assert recorded_arm(robot) == "nothing says where its base 'base_link' is in 'world'"
     robot.joints = JointTrack()

@@ -1796,6 +1796,30 @@ MUTANTS = [
         "(self._templates[0], self._templates[0])",
         "tests/networks/test_transt.py",
     ),
+    Mutant(
+        "dgeval/planning/vfas/contacts.py",
+        "usable &= KDTree(target)",
+        "KDTree(target)",
+        "tests/planning/test_contacts.py",
+    ),
+    Mutant(
+        "dgeval/planning/vfas/contacts.py",
+        "& (grasps.width <= opening)",
+        "",
+        "tests/planning/test_contacts.py",
+    ),
+    Mutant(
+        "dgeval/planning/vfas/contacts.py",
+        "rooms = [reach(T), reach(T @ back)]",
+        "rooms = [reach(T), reach(T)]",
+        "tests/planning/test_contacts.py",
+    ),
+    Mutant(
+        "dgeval/planning/reachability.py",
+        "return float(2 * nearest.min())",
+        "return float(2 * nearest.max())",
+        "tests/networks/test_networks.py",
+    ),
 ]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 
@@ -13,9 +13,14 @@ import numpy as np
 from dgeval.config import Config, VfasConfig
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, rotation_vector, transform
-from dgeval.networks.contact_graspnet import CENTRES, ContactGraspNet, load_contact_graspnet
 from dgeval.networks.pointnet2 import GraspEvaluator, load_evaluator
 from dgeval.perception.self_filter import hand_pixels
+from dgeval.planning.vfas.contacts import (
+    Reach,
+    by_room,
+    contact_graspnet_of,
+    seed_from_contacts,
+)
 from dgeval.planning.vfas.gripper import Gripper
 from dgeval.planning.vfas.motion_field import Flow, MotionField, dis_flow, gmflow
 from dgeval.planning.vfas.selection import GraspJudge, Selected, Vfas, perturbed
@@ -27,7 +32,6 @@ MOST_PIXELS = 40_000  # pixels of a frame that the cloud is thinned to, about
 # pixels
 EDGE_PX, EDGE_M = 5, 0.025
 SAMPLED = 256  # poses from which the evaluator chooses a seed
-SCENE_POINTS = 20_000  # most points of the scene, as in Contact-GraspNet's training
 
 
 @cache
@@ -101,33 +105,9 @@ def seed_from_cloud(
     return poses[int(np.argmax(quality))]
 
 
-@cache
-def contact_graspnet_of(weights: str) -> ContactGraspNet:
-    """Contact-GraspNet with a file's weights; "installed": with those of the installed package."""
-    return load_contact_graspnet(None if weights == "installed" else Path(weights))
-
-
 def flow_of(config: VfasConfig) -> Flow:
     """The optical flow that is configured. UsageError if its weights can't be read."""
     return dis_flow() if config.flow_weights is None else gmflow(Path(config.flow_weights))
-
-
-def seed_from_contacts(
-    cloud: Array, network: ContactGraspNet, judge: GraspJudge, seed: int
-) -> Array | None:
-    """T_base_grasp (4, 4): of Contact-GraspNet's most confident grasps the evaluator's best.
-
-    None is wider than our jaws open. Its own best grasp is no good seed: in a wrist camera's near
-    view it often lies on the table or on something far away. None for a cloud (n, 3) of too few
-    points.
-    """
-    if len(cloud) < CENTRES[0]:
-        return None
-    order = generator(seed, "contacts", 0).permutation(len(cloud))
-    grasps = network.grasps(cloud[np.sort(order[:SCENE_POINTS])])
-    best = np.argsort(-grasps.score, kind="stable")[:SAMPLED]
-    quality = judge.quality([cloud[order]], grasps.T_cloud_grasp[best])[0]
-    return np.asarray(grasps.T_cloud_grasp[best[np.argmax(quality)]])
 
 
 def proportional_twist(T_base_hand: Array, T_base_goal: Array, gain: float) -> Array:
@@ -144,13 +124,17 @@ class VfasLoop:
 
     T_base_seed (4, 4); None: config.vfas.search_ahead in front of the gripper if
     config.vfas.search, else a seed drawn on the cloud. gripper: default: the trained one; all poses
-    are of its grasp frame.
+    are of its grasp frame. reach: ranks Contact-GraspNet's seeds; default: the evaluator does.
     """
 
     def __init__(
-        self, config: Config, T_base_seed: Array | None, gripper: Gripper | None = None
+        self,
+        config: Config,
+        T_base_seed: Array | None,
+        gripper: Gripper | None = None,
+        reach: Reach | None = None,
     ) -> None:
-        self._config, self._given_seed = config, T_base_seed
+        self._config, self._given_seed, self._reach = config, T_base_seed, reach
         network, c = evaluator_of(config.vfas.evaluator), config.vfas
         if c.labels is not None or c.centre is not None:
             sizes = replace(
@@ -166,12 +150,22 @@ class VfasLoop:
         self._last_ns = 0
         self.velocity: Array | None = None
 
-    def step(self, frame: Frame, T_base_camera: Array, may_execute: bool = True) -> Selected | None:
-        """One iteration; None before there is a seed. may_execute: False while it must wait."""
+    def step(
+        self,
+        frame: Frame,
+        T_base_camera: Array,
+        may_execute: bool = True,
+        target: Array | None = None,
+    ) -> Selected | None:
+        """One iteration; None before there is a seed.
+
+        may_execute: False while it must wait. target (n, 3) m, base frame: the target's points,
+        where a seed of Contact-GraspNet lies; None where they are not known.
+        """
         c = self._config.vfas
         cloud = scene_cloud(frame, T_base_camera, self._config.self_filter.margin)
         if self._planner is None:
-            seed = self._seed(frame, cloud, T_base_camera)
+            seed = self._seed(frame, cloud, T_base_camera, target)
             if seed is None:
                 return None
             self._planner = Vfas(self._judge, c, self._config.seed, seed, c.search)
@@ -188,7 +182,9 @@ class VfasLoop:
             frame.index, seconds, cloud, self.velocity, frame.T_base_palm if may_execute else None
         )
 
-    def _seed(self, frame: Frame, cloud: Array, T_base_camera: Array) -> Array | None:
+    def _seed(
+        self, frame: Frame, cloud: Array, T_base_camera: Array, target: Array | None
+    ) -> Array | None:
         if self._given_seed is not None:
             return self._given_seed
         c = self._config.vfas
@@ -199,11 +195,17 @@ class VfasLoop:
             ahead[2, 3] = c.search_ahead
             return frame.T_base_palm @ ahead
         if c.contact_graspnet is not None:
-            return seed_from_contacts(
-                cloud, contact_graspnet_of(c.contact_graspnet), self._judge, self._config.seed
-            )
+            network, opening = contact_graspnet_of(c.contact_graspnet), self._judge.gripper.opening
+            by_quality = partial(self._quality, cloud)
+            rank = by_quality if self._reach is None else partial(by_room, self._reach, c.pregrasp)
+            return seed_from_contacts(cloud, target, network, rank, opening, self._config.seed)
         return (
             seed_from_cloud(cloud, self._judge, T_base_camera, self._config.seed)
             if len(cloud)
             else None
         )
+
+    def _quality(self, cloud: Array, poses: Array) -> Array:
+        """Quality (m,) of poses (m, 4, 4) in a cloud (n, 3), by the evaluator."""
+        order = generator(self._config.seed, "contacts", 0).permutation(len(cloud))
+        return np.asarray(self._judge.quality([cloud[order]], poses)[0])

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgeval.config import Config
-from dgeval.geometry import Array, invert, rotation_angle
+from dgeval.geometry import Array, invert, rotation_angle, transform
+from dgeval.perception.types import Observation
+from dgeval.planning.recorded_arm import ArmAt
 from dgeval.planning.schedule import Delayed
 from dgeval.planning.servo import ServoCommand
 from dgeval.planning.vfas.gripper import Gripper, trained_gripper
@@ -36,29 +38,39 @@ class VfasGrasps:
 
     T_base_seed (4, 4): another planner's proposal; None: `VfasLoop` makes one. gripper: of the log;
     default: the trained one. Poses that go in and come out are of the palm's frame, the planner's
-    own are of the gripper's grasp frame.
+    own are of the gripper's grasp frame. arm: the log's; its limits rank Contact-GraspNet's seeds.
     """
 
     def __init__(
-        self, config: Config, T_base_seed: Array | None, gripper: Gripper | None = None
+        self,
+        config: Config,
+        T_base_seed: Array | None,
+        gripper: Gripper | None = None,
+        arm: ArmAt | None = None,
     ) -> None:
         self._config = config
         gripper = gripper or trained_gripper()
         self._T_palm_grasp, self._T_grasp_palm = gripper.T_palm_grasp, invert(gripper.T_palm_grasp)
         seed = None if T_base_seed is None else T_base_seed @ self._T_palm_grasp
-        self._loop = VfasLoop(config, seed, gripper)
+        reach = None if arm is None else (lambda T: arm.room(T @ self._T_grasp_palm))
+        self._loop = VfasLoop(config, seed, gripper, reach)
         self._coming: Delayed[Selected] = Delayed(config.schedule.grasps_latency_s)
         self._due_ns: int | None = None
 
-    def step(self, frame: Frame, T_base_camera: Array | None) -> VfasResult | None:
+    def step(
+        self, frame: Frame, T_base_camera: Array | None, seen: Observation | None = None
+    ) -> VfasResult | None:
         """The newest usable iteration at a frame; None before there is one.
 
-        T_base_camera (4, 4): None where it is not known, then the frame begins no iteration.
+        T_base_camera (4, 4): None where it is not known, then the frame begins no iteration. seen:
+        the target in the frame, where a seed of Contact-GraspNet lies.
         """
         config, hand = self._config.vfas, frame.T_base_palm
         if T_base_camera is not None and self._is_due(frame.t_ns):
             grasp = None if hand is None else hand @ self._T_palm_grasp
-            selected = self._loop.step(replace(frame, T_base_palm=grasp), T_base_camera)
+            target = None if seen is None else transform(T_base_camera, seen.points)
+            frame_of_grasp = replace(frame, T_base_palm=grasp)
+            selected = self._loop.step(frame_of_grasp, T_base_camera, target=target)
             if selected is not None:
                 self._coming.step(frame.t_ns, self._of_palm(selected))
         at = self._coming.at(frame.t_ns)
