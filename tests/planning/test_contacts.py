@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from dgeval.networks.contact_graspnet import JawGrasps
 from dgeval.planning.vfas.contacts import CONFIDENT, Rank, by_room, seed_from_contacts
-from dgeval.robots.parallel_jaw import OPENING
 
 
 class Given:
@@ -31,7 +30,7 @@ def seeded(target: np.ndarray | None, rank: Rank, network: Given | None = None) 
     """Number of the grasp that is the seed, of those given."""
     cloud = np.random.default_rng(0).uniform(-0.1, 0.6, (60_000, 3))
     network = network or Given(given_grasps())
-    T = seed_from_contacts(cloud, target, network, rank, OPENING, 3)  # type: ignore[arg-type]
+    T = seed_from_contacts(cloud, target, network, rank, 0.08, 3)  # type: ignore[arg-type]
     return None if T is None else round((T[0, 3] - 0.02) * 10)
 
 
