@@ -518,6 +518,19 @@ PIPELINES: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
+# what is given as a file that a trial's result depends on
+FILES = (
+    "calibration.description",
+    "calibration.static_mask",
+    "tracking.weights",
+    "grasps.generator",
+    "grasps.evaluator",
+    "vfas.evaluator",
+    "vfas.flow_weights",
+    "vfas.contact_graspnet",
+)
+
+
 class Config(Section):
     pipeline: Literal["dynamic", "handover", "vfas"] = "dynamic"
     seed: int = Field(0, ge=0)
@@ -543,6 +556,11 @@ class Config(Section):
     verdict: VerdictConfig = VerdictConfig()
     review: ReviewConfig = ReviewConfig()
     checks: ChecksConfig = ChecksConfig()
+
+    def files(self) -> dict[str, Path]:
+        """The files that are given, by their key."""
+        given = {key: getattr(getattr(self, key.split(".")[0]), key.split(".")[1]) for key in FILES}
+        return {key: Path(value) for key, value in given.items() if value is not None}
 
     def of_pipeline(self, name: str) -> Config:
         """The same with a pipeline's own values, where a person has not set others."""

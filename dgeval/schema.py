@@ -250,20 +250,16 @@ TRIALS: tuple[Column, ...] = (
     Column("execute_in_window", "bool", "",
            "the replay would have closed when a close holds the object, by the twin, or as the "
            "recorded one did; null where that moment was not tried", "trial"),
-    # left to: The papers' time and parts: replay what the robot did, when it did it
-    Column("hindsight_score_at_execute", "float", "", "of the chosen grasp", "trial"),
+    Column("hindsight_score_at_execute", "float", "",
+           "of the grasp chosen when the replay would have closed: FFHNet's evaluator on the final "
+           "model where the whole log has the object; null of grasps that FFHNet didn't propose",
+           "trial"),
     Column("evidence", "str", "", "what a person can check, with times", "trial"),
     Column("notes", "str", "",
            "every stand-in that ran in place of the papers' method, and assumptions", "trial"),
     *(Column(f"digest_{stage}", "str", "",
              f"SHA-256 over the frame columns of stage {stage}", "trial") for stage in STAGES),
 )  # fmt: skip
-# Columns that nothing fills yet, with the title of the issue that will
-UNFILLED: dict[str, str] = dict.fromkeys(
-    ("hindsight_score_at_execute",),
-    "The papers' time and parts: replay what the robot did, when it did it",
-)
-
 HINDSIGHT: tuple[Column, ...] = (
     Column("frame", "int", "", "index in the trial", "hindsight"),
     Column("t_ns", "int", "ns", "header stamp of the colour image", "hindsight"),

@@ -37,13 +37,15 @@ class Choice:
     """The chosen grasp g*_t as T_base_palm (4, 4), and its scores; None where nobody gives one.
 
     hand_score: of the hand where it is (GraspEval). score: predicted success of the grasp. metric:
-    its dynamic grasp metric, equations 3 to 5.
+    its dynamic grasp metric, equations 3 to 5. joints (n,) rad: of the hand before it closes, of a
+    grasp that FFHNet proposed.
     """
 
     T_base_palm: Array
     hand_score: float | None
     score: float | None
     metric: float | None
+    joints: Array | None = None
 
 
 @dataclass(frozen=True)

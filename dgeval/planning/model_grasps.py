@@ -81,7 +81,7 @@ class ModelGrasps:
             if palm is not None:
                 T_object_hand = invert(T_base_object) @ palm
                 to_score.append((len(out), proposals, T_object_hand, preshape))
-            out.append(GraspResult(n, Choice(T_base_object @ pose, None, score, metric)))
+            out.append(GraspResult(n, Choice(T_base_object @ pose, None, score, metric, preshape)))
         self._score(out, to_score)
         return out
 

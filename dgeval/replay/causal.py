@@ -97,8 +97,16 @@ class Step:
         """The first time since the frame before at which the fingers would have closed."""
         if self.vfas is not None:
             return self.frame.t_ns if self.vfas.selected.execute else None
+        executed = self.executed
+        return None if executed is None else executed.t_ns
+
+    @property
+    def executed(self) -> Control | None:
+        """The first control period since the frame before in which the fingers would have closed;
+        of the dynamic pipeline.
+        """
         at_frame = () if self.control is None else (self.control,)
-        return next((c.t_ns for c in (*self.periods, *at_frame) if c.execute), None)
+        return next((c for c in (*self.periods, *at_frame) if c.execute), None)
 
     @cached_property
     def row(self) -> dict[str, Any]:

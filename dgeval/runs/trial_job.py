@@ -20,9 +20,11 @@ from dgeval.config import Config, ReviewConfig
 from dgeval.determinism import limit_threads
 from dgeval.errors import EXIT_DATA_LOST, EXIT_INTERNAL, EXIT_OK, DgevalError, describe
 from dgeval.geometry import Array
+from dgeval.hindsight.chosen_grasp import hindsight_score
 from dgeval.hindsight.second_pass import Hindsight, look_back
 from dgeval.hindsight.surface import CausalFrame, Surface, causal_frame_of
 from dgeval.perception.pipeline import Perception
+from dgeval.planning.control import Choice
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
@@ -67,15 +69,23 @@ def resume_key(
 ) -> str:
     """SHA-256 of all that a trial's result depends on, to tell whether it can be kept.
 
-    The recording's content is part of it; its folder and name are not.
+    The recording's content is part of it; its folder and name are not. So is the content of the
+    files that the configuration names: weights, a description, a mask.
     """
+    files = {k: _digest(p) for k, p in config.files().items() if p.is_file()}
     about = {k: v for k, v in asdict(spec).items() if k not in ("recording", "parts")}
     given = [] if estimates is None else [estimates.sha256]
     text = json.dumps(
-        [__version__, SCHEMA_VERSION, config.model_dump(mode="json"), about, sha256, *given],
+        [__version__, SCHEMA_VERSION, config.model_dump(mode="json"), files, about, sha256, *given],
         sort_keys=True,
     )
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def replay_trial(
@@ -153,6 +163,7 @@ def _replay_trial(
     digests = StageDigests()
     counts = FrameCounts()
     t_execute_ns = None
+    chosen: tuple[Choice, Array] | None = None
     model = None
     last_ns = trial.pairs[-1][0]
     close_ns = trial.event_ns(CLOSE_EVENT)
@@ -187,8 +198,8 @@ def _replay_trial(
                 seen = first_seen(step, trial, target, config)
                 if spec.bbox is None:
                     write_target(out / "pictures" / f"{name}-target.png", step)
-            if t_execute_ns is None:
-                t_execute_ns = step.execute_ns
+            if t_execute_ns is None and (t_execute_ns := step.execute_ns) is not None:
+                chosen = _chosen(step)
             model = step.model if step.model is not None else model
             last_ns = step.frame.t_ns
             if (observation := causal_frame_of(step)) is not None:
@@ -228,6 +239,9 @@ def _replay_trial(
     if model is not None:
         write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
+    chosen_score = None
+    if chosen is not None and t_execute_ns is not None and hindsight is not None:
+        chosen_score = hindsight_score(*chosen, t_execute_ns, hindsight, config.grasps)
     row, exit_code, messages = trial_row(
         trial,
         config,
@@ -240,6 +254,7 @@ def _replay_trial(
         estimates,
         (perception.noise.told(),),
         compared.until(judgement.decisive_ns or close_ns or last_ns),
+        chosen_score,
     )
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})
     shown = None if judgement.shown is None else shown_as_json(judgement.shown)
@@ -255,6 +270,14 @@ def _replay_trial(
     return TrialResult(spec.id, row, exit_code, messages, trial.sha256, review=sizes, shown=shown)
 
 
+def _chosen(step: Step) -> tuple[Choice, Array] | None:
+    """The grasp chosen when the fingers would have closed, and T_base_camera of the frame."""
+    grasps = None if step.executed is None else step.executed.grasps
+    if grasps is None or grasps.choice is None or step.T_base_camera is None:
+        return None
+    return grasps.choice, step.T_base_camera
+
+
 def trial_row(
     trial: Trial,
     config: Config,
@@ -267,13 +290,14 @@ def trial_row(
     estimates: Estimates | None = None,
     perceived: tuple[str, ...] = (),
     fidelity: tuple[Fidelity, ...] = (),
+    chosen_score: float | None = None,
 ) -> tuple[dict[str, Any], int, list[str]]:
     """The trial's row without its digests, the exit code, and messages for the user.
 
     t_execute_ns: when the replay would have closed first. last_ns: time of
     the last frame. target: as it was found, where no box was given. seen: where it was first seen.
     estimates: as given to the run. perceived: notes of the perception. fidelity: of the replay
-    to the robot.
+    to the robot. chosen_score: in hindsight, of the grasp chosen at t_execute_ns.
     """
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
@@ -308,6 +332,7 @@ def trial_row(
         "t_execute_ns": t_execute_ns,
         "c_e": closing_threshold(trial, config),
         "execute_in_window": judgement.holds_at(t_execute_ns, trial.event_ns(CLOSE_EVENT)),
+        "hindsight_score_at_execute": chosen_score,
         "t_close_ns": trial.event_ns(CLOSE_EVENT),
         "close_source": trial.close.source,
         "t_fingers_ns": trial.close.fingers_ns,

@@ -20,9 +20,10 @@ from dgeval import api
 from dgeval.config import load_config
 from dgeval.geometry import matrix_from_pose, transform
 from dgeval.recording.containers.opening import open_container
-from dgeval.recording.manifest import find_trials
+from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.scan import scan
 from dgeval.recording.trials import open_trial
+from dgeval.runs.trial_job import resume_key
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 DIGESTS = [
@@ -225,6 +226,20 @@ def test_same_digests_for_any_jobs_name_and_repetition(
     other = digests(tmp_path / "r3")[0]
     assert other[2] != outs[0][0][2]
     assert other[0] == outs[0][0][0]
+
+
+def test_other_weights_under_the_same_name_are_another_result(tmp_path: Path) -> None:
+    """Catches a trial that is kept though a file that the configuration names has changed."""
+    path = tmp_path / "own.pth"
+    config = load_config(
+        "vfas",
+        (f"vfas.flow_weights={path}", "vfas.flow=gmflow", "vfas.contact_graspnet=installed"),
+    )
+    keys = []
+    for content in (b"first", b"second", b"first"):
+        path.write_bytes(content)
+        keys.append(resume_key(TrialSpec("a", tmp_path / "a.mcap"), config, "sha"))
+    assert keys[0] == keys[2] != keys[1]
 
 
 @pytest.mark.slow

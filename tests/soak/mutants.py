@@ -1820,6 +1820,18 @@ MUTANTS = [
         "return float(2 * nearest.max())",
         "tests/networks/test_networks.py",
     ),
+    Mutant(
+        "dgeval/hindsight/chosen_grasp.py",
+        "hindsight.path.at(t_ns)",
+        "hindsight.path.at(0)",
+        "tests/hindsight/test_chosen_grasp.py",
+    ),
+    Mutant(
+        "dgeval/runs/trial_job.py",
+        'config.model_dump(mode="json"), files, about',
+        'config.model_dump(mode="json"), about',
+        "tests/replay/test_replay.py::test_other_weights_under_the_same_name_are_another_result",
+    ),
 ]
 
 
