@@ -150,7 +150,10 @@ def _weights_for(
 ) -> None:
     """Refuse a network without its weights, and weights that nothing would read."""
     if is_chosen and weights is None:
-        text = f'{key} = "{value}" needs {weights_key}, a file of the authors: none is shipped'
+        text = (
+            f'{key} = "{value}" needs {weights_key}, a file of the authors (none is shipped): '
+            f"--set {weights_key}=FILE"
+        )
         raise PydanticCustomError("weights", text)
     if weights is not None and not is_chosen:
         text = f'{weights_key} is read with {key} = "{value}" only'
@@ -219,7 +222,9 @@ class TrackingConfig(Section):
 
     @model_validator(mode="after")
     def _tracker_has_weights(self) -> TrackingConfig:
-        _weights_for(self.method == "transt", self.weights, "method", "transt", "weights")
+        _weights_for(
+            self.method == "transt", self.weights, "tracking.method", "transt", "tracking.weights"
+        )
         return self
 
 
@@ -443,7 +448,9 @@ class VfasConfig(Section):
 
     @model_validator(mode="after")
     def _flow_has_weights(self) -> VfasConfig:
-        _weights_for(self.flow == "gmflow", self.flow_weights, "flow", "gmflow", "flow_weights")
+        _weights_for(
+            self.flow == "gmflow", self.flow_weights, "vfas.flow", "gmflow", "vfas.flow_weights"
+        )
         return self
 
 

@@ -37,7 +37,7 @@ from dgeval.simulation.record import verdict_document, write_recording
 from dgeval.simulation.render import Renderer
 from dgeval.simulation.scenario import Plan, Scenario, plan_trial
 from dgeval.simulation.seeing import Images, RenderedPerception
-from dgeval.simulation.setting import Setting
+from dgeval.simulation.setting import LateBelt, Setting
 from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import prove
 from dgeval.simulation.vfas_plan import plan_vfas
@@ -171,7 +171,9 @@ def world_of(campaign: Campaign, plan: Plan, cameras: tuple[Camera, ...] = ()) -
     """The world a plan is carried out in, before its start."""
     objects = _objects(campaign.meshes, campaign.scenario.vfas)
     others = tuple((objects[name], x, y, yaw) for name, x, y, yaw in plan.others)
-    setting = Setting(others, plan.presenter, plan.turn)
+    late = campaign.scenario.belt_start_s
+    belt = LateBelt(plan.speed, late) if late and plan.speed else None
+    setting = Setting(others, plan.presenter, plan.turn, belt)
     return World(
         objects[plan.object], plan.speed, cameras, setting, gripper=campaign.scenario.gripper
     )

@@ -118,6 +118,9 @@ class Scenario(_Section):
         None, description="default: all ten, or those of --meshes"
     )
     speeds: tuple[float, ...] = (0.0,)
+    belt_start_s: float = Field(
+        0.0, ge=0, description="s after the robot's start, at which the belt starts; 0: it runs"
+    )
     trials: int = Field(10, ge=1)
     choose: dict[Literal["success", "imprecise_pose", "collision", "timing"], int] | None = Field(
         None, description="how many of each kind to record, the first in order; default: all trials"

@@ -69,8 +69,8 @@ class World(HandAndObject):
     ) -> None:
         """Put arm and fingers at rest, and the object on the belt or in the presenter's hand.
 
-        On the belt it stands at x, y m and yaw rad and moves at object_velocity, m/s. q_arm (7,)
-        and preshape (k,) in rad.
+        On the belt it stands at x, y m and yaw rad and moves at object_velocity, m/s, unless the
+        belt starts later. q_arm (7,) and preshape (k,) in rad.
         """
         d = self.data
         mujoco.mj_resetData(self.model, d)
@@ -85,7 +85,7 @@ class World(HandAndObject):
             0,
             np.sin(yaw / 2),
         ]
-        d.qvel[self.object_dof + 1] = object_velocity
+        d.qvel[self.object_dof + 1] = 0.0 if self.setting.belt is not None else object_velocity
         self.setting.put(self.model, d)
         if self.presenter is not None:
             present(self.presenter, d)
@@ -214,7 +214,7 @@ def twin_path(
     data = mujoco.MjData(model)
     z = target.rest_height() + (TURNTABLE_TOP if setting.turn is not None else 0.0)
     data.qpos[:7] = [x, y, z, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
-    data.qvel[1] = belt_speed
+    data.qvel[1] = belt_speed if setting.belt is None else 0.0
     setting.put(model, data)
     if presenter is not None:
         present(presenter, data)

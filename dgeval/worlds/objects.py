@@ -391,12 +391,20 @@ def add_object(
 
 def surface_points(model: ObjectModel, n: int, rng: np.random.Generator) -> Array:
     """Points (n, 3) m on the drawn surface of the object, uniform by area, object frame."""
+    return surface_with_normals(model, n, rng)[0]
+
+
+def surface_with_normals(
+    model: ObjectModel, n: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """The same points, and the unit normals (n, 3) that point out of the object there."""
     import trimesh
 
     walls, solids = _drawn(model)
     mesh = trimesh.util.concatenate([*solids, *walls])
     areas = np.cumsum(mesh.area_faces)
     batches: list[Array] = []
+    normals: list[Array] = []
     while sum(map(len, batches)) < n:
         k = np.searchsorted(areas, rng.random(n) * areas[-1])
         u, v = rng.random((2, n, 1))
@@ -411,7 +419,8 @@ def surface_points(model: ObjectModel, n: int, rng: np.random.Generator) -> Arra
             reach = (solid.face_normals * solid.triangles[:, 0]).sum(axis=1)
             hidden |= (outside @ solid.face_normals.T <= reach).all(axis=1)
         batches.append(points[~hidden])
-    return np.concatenate(batches)[:n]
+        normals.append(mesh.face_normals[k][~hidden])
+    return np.concatenate(batches)[:n], np.concatenate(normals)[:n]
 
 
 def drawn_mesh(model: ObjectModel):  # type: ignore[no-untyped-def]

@@ -80,7 +80,7 @@ def test_weights_and_method_go_together() -> None:
     load_config("vfas", ("vfas.flow=gmflow", "vfas.flow_weights=x.pth"))
     with pytest.raises(UsageError, match="flow_weights, a file of the authors"):
         load_config("vfas", ("vfas.flow=gmflow",))
-    with pytest.raises(UsageError, match='with flow = "gmflow" only'):
+    with pytest.raises(UsageError, match=r'with vfas\.flow = "gmflow" only'):
         load_config("vfas", ("vfas.flow_weights=x.pth",))
 
 

@@ -111,7 +111,7 @@ def test_nothing_is_told_before_a_box_is_given() -> None:
 
 
 def test_the_method_needs_weights_and_they_need_it() -> None:
-    with pytest.raises(UsageError, match="needs weights, a file of the authors"):
+    with pytest.raises(UsageError, match=r"needs tracking\.weights, a file of the authors"):
         load_config("dynamic", SETTINGS[:1])
-    with pytest.raises(UsageError, match='with method = "transt" only'):
+    with pytest.raises(UsageError, match=r'with tracking\.method = "transt" only'):
         load_config("dynamic", SETTINGS[1:])

@@ -1832,6 +1832,18 @@ MUTANTS = [
         'config.model_dump(mode="json"), about',
         "tests/replay/test_replay.py::test_other_weights_under_the_same_name_are_another_result",
     ),
+    Mutant(
+        "dgeval/simulation/setting.py",
+        "(t - self.start) / RAMP_S",
+        "t / RAMP_S",
+        "tests/simulation/test_late_belt.py",
+    ),
+    Mutant(
+        "dgeval/simulation/world.py",
+        "0.0 if self.setting.belt is not None else object_velocity",
+        "object_velocity",
+        "tests/simulation/test_late_belt.py",
+    ),
 ]
 
 
