@@ -100,6 +100,7 @@ def compared(spec: TrialSpec, size: int) -> tuple[Clouds, Clouds]:
         )
         believed = T_camera_object @ increment(error)
         cloud = modelled.step(k, T_camera_object, believed)
+        assert cloud is not None
         rows, _ = seen_from(points, T_camera_object, rng)
         last_seen[rows] = t_ns
         out = t_ns - last_seen > LONG_AGO_S * 1e9

@@ -9,18 +9,26 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.config import Config
 from dgeval.errors import UndecodableError
-from dgeval.geometry import Array, invert, matrix_from_pose, rotation_angle, transform
+from dgeval.geometry import (
+    Array,
+    invert,
+    matrix_from_pose,
+    pose_from_matrix,
+    rotation_angle,
+    transform,
+)
 from dgeval.perception.types import Window
 from dgeval.planning.control import Control
 from dgeval.recording.contract import COMMAND_TOPIC, MASK_TOPIC, TARGET_TOPIC, VELOCITY_TOPIC
 from dgeval.recording.images import decode_image
+from dgeval.recording.messages import StampedPose
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step, grasp_source, recorded_decisions
 
@@ -89,6 +97,38 @@ class Fidelity:
         return f"{self.stage} {values} ({self.word})"
 
 
+@dataclass
+class Replayed:
+    """What the replay itself believed and chose, as a robot would have recorded it.
+
+    targets: T_camera_model, in each frame; seen_ns: times of those that were accepted. velocities:
+    (t_ns, twist (6,)), base frame. grasps: T_base_palm chosen, in each control period. model: its
+    last points (n, 3) m, model frame.
+    """
+
+    targets: list[StampedPose] = field(default_factory=list)
+    seen_ns: list[int] = field(default_factory=list)
+    velocities: list[tuple[int, Array]] = field(default_factory=list)
+    grasps: list[StampedPose] = field(default_factory=list)
+    model: Array | None = None
+
+    def add(self, step: Step) -> None:
+        t_ns, estimate = step.frame.t_ns, step.perceived.estimate
+        if step.T_camera_model is not None:
+            self.targets.append(StampedPose(t_ns, "", "", pose_from_matrix(step.T_camera_model)))
+        if step.accepted:
+            self.seen_ns.append(t_ns)
+        if step.model is not None:
+            self.model = step.model.points
+        if estimate is not None:
+            self.velocities.append((t_ns, np.append(estimate.velocity, np.zeros(3))))
+        for control in step.periods:
+            choice = None if control.grasps is None else control.grasps.choice
+            if choice is not None:
+                pose = pose_from_matrix(choice.T_base_palm)
+                self.grasps.append(StampedPose(control.t_ns, "", "", pose))
+
+
 class Compared:
     """What a replay and the robot say of each stage, gathered frame by frame."""
 
@@ -108,9 +148,11 @@ class Compared:
         # T_camera_model (4, 4) of both in the first frame in which the target was seen by both
         self._first: tuple[Array, Array] | None = None
         self._decided_ns: int | None = None
+        self.own = Replayed()
 
     def add(self, step: Step) -> None:
         """One frame, with the control periods before it."""
+        self.own.add(step)
         t_ns = step.frame.t_ns
         self._add_target(step)
         velocity = _nearest(*self._velocities, t_ns, NEAR_NS)
@@ -182,6 +224,15 @@ class Compared:
         ]
         decided = self._decision(t_ns)
         return (*out, decided) if decided is not None else tuple(out)
+
+    def speaks(self, t_ns: int) -> bool:
+        """Whether the replay's own beliefs up to t_ns may stand for the robot's.
+
+        Its commands are the robot's, which follow from target, velocity and grasp, and no stage
+        that the robot recorded is another.
+        """
+        words = {one.stage: one.is_faithful for one in self.until(t_ns)}
+        return words.get("twist") is True and False not in words.values()
 
     def _decision(self, t_ns: int) -> Fidelity | None:
         """When the robot and the replay decide to close; agreed where neither does."""

@@ -8,7 +8,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -216,7 +216,10 @@ def _replay_trial(
         hindsight = look_back(trial, observed, surface, perception, config)
         hindsight_done = time.perf_counter()
         elsewhere = None if estimates is None else estimates.of(trial.robot.hand_found)
-        judgement = judge(log_of(trial, elsewhere), hindsight, config.verdict, config.seed)
+        log = log_of(trial, elsewhere)
+        if compared.speaks(close_ns or last_ns):
+            log = replace(log, recorded=log.recorded.completed_by(compared.own))
+        judgement = judge(log, hindsight, config.verdict, config.seed)
         for stage, seconds in (
             ("hindsight", hindsight_done - start),
             ("verdict", time.perf_counter() - hindsight_done),

@@ -127,7 +127,8 @@ class ModelledPerception:
         T[:3, 3] += np.array(self._plan.faults.tracker_drift) * world.t
         if self._model is None:
             return PerceivedObject(T)
-        return PerceivedObject(T, transform(T, self._model.step(frame, T_camera_object, believed)))
+        cloud = self._model.step(frame, T_camera_object, believed)
+        return PerceivedObject(None) if cloud is None else PerceivedObject(T, transform(T, cloud))
 
 
 class ModelledCloud:
@@ -143,12 +144,14 @@ class ModelledCloud:
         low = HELD_BELOW_M if plan.presenter is not None else PLANE_M
         seen = points[:, 2] > points[:, 2].min() + low
         self._surface, self._normals = points[seen], normals[seen]
-        self._camera, self._plan, self._most = camera, plan, config.observation.max_points
+        self._camera, self._plan = camera, plan
+        self._least, self._most = config.observation.min_points, config.observation.max_points
         self._fusion = Fusion(config.fusion)
 
-    def step(self, frame: int, T_camera_object: Array, T_camera_believed: Array) -> Array:
+    def step(self, frame: int, T_camera_object: Array, T_camera_believed: Array) -> Array | None:
         """Model points (n, 3), object frame as believed, after one more accepted frame.
 
+        None, and nothing merged, where the camera measures too few points for an observation.
         T_camera_object: true; T_camera_believed: as registration has it.
         """
         rng = generator(self._plan.seed, f"model/{self._plan.index}", frame)
@@ -160,6 +163,8 @@ class ModelledCloud:
         normals = self._normals[rows] @ T_camera_object[:3, :3].T
         cosine = -(normals * measured).sum(axis=1) / np.linalg.norm(measured, axis=1)
         measured = measured[in_image & (cosine > LEAST_COSINE)]
+        if len(measured) < self._least:
+            return None
         if self._fusion.model is not None and len(measured) > self._most:
             measured = measured[np.sort(rng.permutation(len(measured))[: self._most])]
         has_normal = np.tile([0.0, 0.0, -1.0], (len(measured), 1))

@@ -12,7 +12,7 @@ whether the grasp that it was sent to would have held, and whether it came there
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -43,17 +43,19 @@ class Beliefs:
     on the undisturbed object at the close or at the end of the log: where the hand would have been
     without the errors of servo and prediction; None where the object was not seen. gains: 1/s,
     level and upright, with which the commanded twist closed the error up to the first contact; None
-    without commands.
+    without commands. source: `recorded`, or `replayed_faithful` where a faithful replay's stand for
+    the robot's.
     """
 
     errors: dict[str, Array]
     goal: Array | None
     gains: tuple[float, float] | None
+    source: str = "recorded"
 
     def moved(self, T: Array) -> Beliefs:
         """The same in another frame: T (4, 4) maps points from the old one into it."""
         errors = {k: T[:3, :3] @ e for k, e in self.errors.items()}
-        return Beliefs(errors, None if self.goal is None else T @ self.goal, self.gains)
+        return replace(self, errors=errors, goal=None if self.goal is None else T @ self.goal)
 
 
 def beliefs_of(log: TrialLog, hindsight: Hindsight) -> Beliefs | Unknown:
@@ -102,7 +104,7 @@ def beliefs_of(log: TrialLog, hindsight: Hindsight) -> Beliefs | Unknown:
         gain = None if closed else log.servo_gain
         errors |= carried(tracking, drift, wrong, (at_ns - own[-1].t_ns) * 1e-9, gain)
     gains = _gains(robot, recorded, grasps, free_ns)
-    return Beliefs(errors, _goal(grasps, hindsight, log.end_ns), gains)
+    return Beliefs(errors, _goal(grasps, hindsight, log.end_ns), gains, recorded.source)
 
 
 def steady(twists: Sequence[tuple[int, Array]], until_ns: int) -> list[Array]:

@@ -234,10 +234,10 @@ def blame_of(decision: Decision, beliefs: Beliefs | Unknown) -> Blame:
     sizes = {part: float(np.linalg.norm(e)) for part, e in beliefs.errors.items()}
 
     def blamed(part: str, probability: float) -> Blame:
-        return Blame(part, probability, sizes, "recorded")
+        return Blame(part, probability, sizes, beliefs.source)
 
     def unknown(reason: str) -> Blame:
-        return Blame(Unknown(reason), 0.0, sizes, "recorded")
+        return Blame(Unknown(reason), 0.0, sizes, beliefs.source)
 
     if answer.failure_class == "collision":  # 6.3: from the push on the beliefs follow it
         if wrong_law(beliefs):
@@ -272,7 +272,7 @@ def blame_of(decision: Decision, beliefs: Beliefs | Unknown) -> Blame:
         return blamed(huge[0], ALONE)
     if answer.failure_class == "timing":  # 6.10: another close time would have done
         late = {"execution": abs(answer.shift_s or 0.0)}
-        return Blame("execution", max(decision.probabilities), late, "recorded")
+        return Blame("execution", max(decision.probabilities), late, beliefs.source)
     if large:  # 6.11: errors, but none explains it; else the grasp itself was wrong
         return unknown(
             f"no part alone explains it, the largest is {large[0]} with "
@@ -287,18 +287,18 @@ def _never_closed(beliefs: Beliefs, sizes: dict[str, float], chosen: Sequence[Dr
     off = [part for part in ("tracking", "velocity") if sizes.get(part, 0.0) > NEVER_CLOSED_M]
     off += ["servo"] if wrong_law(beliefs) else []
     if sizes["servo"] <= TOLERANCE_M and goal > ENOUGH:  # a: it was there and did not close
-        return Blame("execution", goal, sizes, "recorded")
+        return Blame("execution", goal, sizes, beliefs.source)
     if len(off) == 1:  # b: one part is off
-        return Blame(off[0], ALONE, sizes, "recorded")
+        return Blame(off[0], ALONE, sizes, beliefs.source)
     if off:
-        return Blame(Unknown(f"{', '.join(off)} are all off"), 0.0, sizes, "recorded")
+        return Blame(Unknown(f"{', '.join(off)} are all off"), 0.0, sizes, beliefs.source)
     if sizes["servo"] <= TOLERANCE_M and beliefs.goal is not None:  # c: it was at a bad grasp
-        return Blame("synthesis", 1.0 - goal, sizes, "recorded")
+        return Blame("synthesis", 1.0 - goal, sizes, beliefs.source)
     why = (
         f"the hand came no nearer to its grasp than {sizes['servo'] * 1000:.0f} mm, "
         "and no part stands out"
     )
-    return Blame(Unknown(why), 0.0, sizes, "recorded")
+    return Blame(Unknown(why), 0.0, sizes, beliefs.source)
 
 
 def _stands_out(parts: Sequence[str], sizes: dict[str, float], times: float) -> bool:

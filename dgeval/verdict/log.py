@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from dgeval.recording.contract import (
 from dgeval.recording.messages import JointSample, StampedPose, cloud_points
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.trials import Trial
+from dgeval.replay.fidelity import Replayed
 from dgeval.verdict.recorded_closing import Closing
 
 MIN_MODEL_POINTS = 20  # fewer points of the robot's own model say nothing of where the object is
@@ -36,7 +38,8 @@ class Recorded:
     grasps: T_base_palm chosen. targets: T_camera_model, the robot's model frame. seen_ns (n,):
     stamps of the images in which it saw the target itself. velocities, commands: (t_ns, twist
     (6,) m/s, rad/s), of the target and of the palm, base frame. model: points (n, 3) m of its
-    model, model frame, recorded last before a time; None where there are none.
+    model, model frame, recorded last before a time; None where there are none. source: `recorded`;
+    `replayed_faithful` where a faithful replay's own beliefs stand for missing ones.
     """
 
     grasps: tuple[StampedPose, ...]
@@ -45,6 +48,25 @@ class Recorded:
     velocities: tuple[tuple[int, Array], ...]
     commands: tuple[tuple[int, Array], ...]
     model: Callable[[int], Array | None]
+    source: str = "recorded"
+
+    def completed_by(self, replay: Replayed) -> Recorded:
+        """The same with a faithful replay's own beliefs in place of those that are missing.
+
+        Target and model go together: a model frame is its owner's.
+        """
+        if self.grasps and self.targets and self.velocities:
+            return self
+        own: dict[str, Any] = {"source": "replayed_faithful"}
+        if not self.targets:
+            own["targets"] = tuple(replay.targets)
+            own["seen_ns"] = np.array(replay.seen_ns, dtype=np.int64)
+            own["model"] = lambda _: replay.model
+        if not self.velocities:
+            own["velocities"] = tuple(replay.velocities)
+        if not self.grasps:
+            own["grasps"] = tuple(replay.grasps)
+        return replace(self, **own)
 
 
 @dataclass(frozen=True)

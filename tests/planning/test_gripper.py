@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from dgeval.config import Config
-from dgeval.geometry import Array, increment, invert
+from dgeval.geometry import Array, increment, invert, transform
+from dgeval.perception.types import Observation
 from dgeval.planning.vfas import replayed
 from dgeval.planning.vfas.gripper import Gripper, apart, gripper_of, trained_gripper
 from dgeval.planning.vfas.selection import Selected
@@ -103,7 +106,7 @@ def test_iterations_are_at_20_hz_whatever_the_camera_is(
 
         def __init__(self, *_: object) -> None: ...
 
-        def step(self, frame: Seen, _T_base_camera: Array) -> None:
+        def step(self, frame: Seen, _T_base_camera: Array, **_: object) -> None:
             times.append(frame.t_ns)
 
     monkeypatch.setattr(replayed, "VfasLoop", Loop)
@@ -126,22 +129,30 @@ def test_poses_go_in_and_come_out_as_the_palms(monkeypatch: pytest.MonkeyPatch) 
     """Catches a seed, a hand or a goal in the wrong one of the two frames."""
     T_palm_grasp = increment(np.array([0.0, 0.01, 0.1, 0.1, 0.2, 1.5]))
     palm, seed = (increment(np.array([0.5, y, 0.3, 3.0, 0.1, 0.2])) for y in (0.1, 0.2))
-    seen = []
+    seen, asked, targets = [], [], []
+    arm: Any = SimpleNamespace(room=lambda T: T)
+    observation = Observation(np.array([[0.1, 0.2, 0.5]]), np.zeros((1, 3)))
 
     class Loop:
         velocity = None
 
-        def __init__(self, _config: Config, T_base_seed: Array, _gripper: Gripper) -> None:
+        def __init__(
+            self, _config: Config, T_base_seed: Array, _gripper: Gripper, reach: Any
+        ) -> None:
             seen.append(T_base_seed)
+            asked.append(reach(T_base_seed))
 
-        def step(self, frame: Seen, _T_base_camera: Array) -> Selected:
+        def step(self, frame: Seen, _T_base_camera: Array, target: Array) -> Selected:
             seen.append(frame.T_base_palm)
+            targets.append(target)
             return Selected(seen[0], seen[0], 1.0, 1.0, 0.0, 1.0, 64, True, False)
 
     monkeypatch.setattr(replayed, "VfasLoop", Loop)
     gripper = Gripper(T_palm_grasp, 0.08, trained_gripper().points, "a test's")
-    planner = replayed.VfasGrasps(Config(), seed, gripper)
-    result = planner.step(Seen(0, palm), np.eye(4))  # type: ignore[arg-type]
+    planner = replayed.VfasGrasps(Config(), seed, gripper, arm)
+    result = planner.step(Seen(0, palm), palm, observation)  # type: ignore[arg-type]
+    np.testing.assert_allclose(asked[0], seed, atol=1e-12)  # the arm is asked of palm poses
+    np.testing.assert_allclose(targets[0], transform(palm, observation.points), atol=1e-12)
     np.testing.assert_allclose(seen[0], seed @ T_palm_grasp, atol=1e-12)
     np.testing.assert_allclose(seen[1], palm @ T_palm_grasp, atol=1e-12)
     assert result is not None

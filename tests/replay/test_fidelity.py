@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from dgeval import api
 from dgeval.config import load_config
-from dgeval.geometry import pose_from_matrix
+from dgeval.geometry import matrix_from_pose, pose_from_matrix
 from dgeval.planning.control import Choice, Control, GraspResult
 from dgeval.planning.servo import ServoCommand
 from dgeval.recording.contract import COMMAND_TOPIC, MASK_TOPIC, TARGET_TOPIC, VELOCITY_TOPIC
@@ -23,6 +23,7 @@ from dgeval.recording.scan import TopicTimes
 from dgeval.replay import fidelity
 from dgeval.replay.causal import Step
 from dgeval.replay.fidelity import Compared, fidelity_notes
+from dgeval.verdict.log import Recorded
 
 CONFIG = load_config("dynamic")
 FRAMES = 30
@@ -114,6 +115,64 @@ def test_a_robot_that_believed_the_same(
     assert fidelity_notes(()) == []
 
 
+def commanding(replayed: Recording, factor: float, velocity: float | None = None) -> Compared:
+    """A replay beside a robot of which only commands are recorded, and velocities if given."""
+    trial, steps = replayed
+    commands = [
+        (c.t_ns, c.command.twist * factor)
+        for s in steps
+        for c in s.periods
+        if c.command is not None
+    ]
+    twists = {COMMAND_TOPIC: commands}
+    if velocity is not None:
+        own = [(s.frame.t_ns, s.perceived.estimate) for s in steps]
+        more = np.array([velocity, 0, 0, 0, 0, 0])
+        twists[VELOCITY_TOPIC] = [
+            (t, np.append(e.velocity, np.zeros(3)) + more) for t, e in own if e is not None
+        ]
+    scan = replace(trial.scan, poses={}, twists=twists, times={}, numbers={})
+    compared = Compared(replace(trial, scan=scan), CONFIG)
+    for step in steps:
+        compared.add(step)
+    return compared
+
+
+def test_a_replay_speaks_for_a_robot_that_commanded_the_same(replayed: Recording) -> None:
+    """Fails where a replay whose commands are others', or one with another velocity, speaks."""
+    _, steps = replayed
+    end_ns = steps[-1].frame.t_ns
+    assert commanding(replayed, 1.0).speaks(end_ns)
+    assert commanding(replayed, 1.0, 0.0).speaks(end_ns)
+    assert not commanding(replayed, 1.2).speaks(end_ns)
+    assert not commanding(replayed, 1.0, 0.02).speaks(end_ns)
+    assert not commanding(replayed, 1.0).speaks(steps[0].frame.t_ns)  # too little is recorded
+
+
+def test_a_faithful_replay_completes_what_the_robot_recorded(replayed: Recording) -> None:
+    """Fails where a recorded belief is replaced, or a model is put beside another's poses."""
+    _, steps = replayed
+    own = commanding(replayed, 1.0).own
+    known = [s for s in steps if s.T_camera_model is not None]
+    assert [p.t_ns for p in own.targets] == [s.frame.t_ns for s in known]
+    assert np.allclose(matrix_from_pose(own.targets[-1].pose), known[-1].T_camera_model)
+    assert own.seen_ns == [s.frame.t_ns for s in steps if s.accepted]
+    times = [c.t_ns for s in steps for c in s.periods if c.grasps is not None and c.grasps.choice]
+    assert [p.t_ns for p in own.grasps] == times
+    speeds = [(5, np.ones(6))]
+    empty = np.zeros(0, dtype=np.int64)
+    recorded = Recorded((), (), empty, tuple(speeds), (), lambda _: None)
+    completed = recorded.completed_by(own)
+    assert (completed.source, completed.velocities) == ("replayed_faithful", tuple(speeds))
+    assert (list(completed.targets), list(completed.grasps)) == (own.targets, own.grasps)
+    assert completed.seen_ns.tolist() == own.seen_ns
+    assert np.array_equal(completed.model(0), steps[-1].model.points)  # type: ignore[arg-type,union-attr]
+    theirs = replace(recorded, targets=tuple(own.targets[:3]), grasps=tuple(own.grasps[:3]))
+    assert theirs.completed_by(own) is theirs
+    half = replace(recorded, targets=tuple(own.targets[:3])).completed_by(own)
+    assert (len(half.targets), half.model(0), half.seen_ns.tolist()) == (3, None, [])
+
+
 def drifts(frame: int, T: np.ndarray) -> np.ndarray:
     """A belief that slides off by 0.3 mm a frame."""
     out = T.copy()
@@ -183,6 +242,7 @@ def test_what_is_taken_from_the_log_is_not_held_against_it(demo: Path) -> None:
         frame=SimpleNamespace(t_ns=trial.pairs[20].t_ns),
         T_camera_model=None,
         model=None,
+        accepted=False,
         perceived=SimpleNamespace(estimate=None),
         tracked=SimpleNamespace(mask=None, window=None),
         periods=[
@@ -236,6 +296,7 @@ def test_the_choice_of_a_replay_that_chooses_itself(
         frame=SimpleNamespace(t_ns=times[-1]),
         T_camera_model=None,
         model=None,
+        accepted=False,
         perceived=SimpleNamespace(estimate=None),
         tracked=SimpleNamespace(mask=None, window=None),
         periods=periods,

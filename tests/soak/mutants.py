@@ -1800,19 +1800,19 @@ MUTANTS = [
         "dgeval/planning/vfas/contacts.py",
         "usable &= KDTree(target)",
         "KDTree(target)",
-        "tests/planning/test_contacts.py",
+        "tests/planning/test_contact_seeds.py",
     ),
     Mutant(
         "dgeval/planning/vfas/contacts.py",
         "& (grasps.width <= opening)",
         "",
-        "tests/planning/test_contacts.py",
+        "tests/planning/test_contact_seeds.py",
     ),
     Mutant(
         "dgeval/planning/vfas/contacts.py",
         "rooms = [reach(T), reach(T @ back)]",
         "rooms = [reach(T), reach(T)]",
-        "tests/planning/test_contacts.py",
+        "tests/planning/test_contact_seeds.py",
     ),
     Mutant(
         "dgeval/planning/reachability.py",
