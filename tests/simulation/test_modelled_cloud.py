@@ -38,7 +38,9 @@ def test_only_the_side_that_faces_the_camera_is_seen() -> None:
     points = cloud(looking_along(1.0))
     assert len(points) > 300
     assert np.quantile(points[:, 0], 0.98) < 0.0  # 1 % are flying pixels
-    assert (cloud(looking_along(1.0), looking_along(-1.0))[:, 0] > 0.0).mean() > 0.2
+    # equation 1 takes another side once it has been seen in as many frames
+    both = cloud(looking_along(1.0), *[looking_along(-1.0)] * 8)
+    assert (both[:, 0] > 0.0).mean() > 0.2
 
 
 def test_what_the_plane_or_a_persons_hand_hides_is_not_seen() -> None:
