@@ -185,7 +185,7 @@ def load_strictly(network: nn.Module, weights: dict[str, Tensor], source: str) -
     """Load weights into a network, cast to its dtypes, and put the network into eval mode.
 
     source: the file's path, for the message. Raises UsageError that names the first key that is
-    missing, has another shape, or is unknown to the network.
+    missing, has another shape or values that are not finite, or is unknown to the network.
     """
     expected = network.state_dict()
     for name, tensor in expected.items():
@@ -202,10 +202,26 @@ def load_strictly(network: nn.Module, weights: dict[str, Tensor], source: str) -
         raise UsageError(
             f"weights of {type(network).__name__}: {unknown[0]} is not a part of it", Place(source)
         )
-    network.load_state_dict(
-        {name: tensor.to(expected[name].dtype) for name, tensor in weights.items()}
-    )
+    cast = {name: tensor.to(expected[name].dtype) for name, tensor in weights.items()}
+    for name, tensor in cast.items():
+        if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+            raise UsageError(
+                f"weights of {type(network).__name__}: {name} has values that are not finite",
+                Place(source),
+            )
+    network.load_state_dict(cast)
     network.eval()
+
+
+def version_of(path: Path) -> tuple[int, int]:
+    """Time of its last change, ns, and size of a file, for caches: other content is read again.
+
+    Zeros of a file that isn't there.
+    """
+    if not path.is_file():
+        return 0, 0
+    found = path.stat()
+    return found.st_mtime_ns, found.st_size
 
 
 @cache

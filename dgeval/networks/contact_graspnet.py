@@ -155,20 +155,26 @@ def _interpolated(features: Tensor, coarse: Tensor, fine: Tensor) -> Tensor:
     return (features[index] * weights).sum(1) / weights.sum(1)
 
 
+def installed_weights() -> Path | None:
+    """The weights in the package `cgn-pytorch`; None where it is not installed."""
+    package = importlib.util.find_spec("cgn_pytorch")
+    if package is None or not package.submodule_search_locations:
+        return None
+    return Path(package.submodule_search_locations[0]) / "checkpoints" / "current.pth"
+
+
 def load_contact_graspnet(path: Path | None = None) -> ContactGraspNet:
     """The network with weights from a file, or from the `cgn-pytorch` package if path is None.
 
     Raises UsageError if the package is not installed, or if the weights can't be read or don't fit.
     """
+    path = path or installed_weights()
     if path is None:
-        package = importlib.util.find_spec("cgn_pytorch")
-        if package is None or not package.submodule_search_locations:
-            raise UsageError(
-                "Contact-GraspNet is asked for seeds and is not installed",
-                hint="pip install --no-deps cgn-pytorch (only its weights are read; mind their "
-                "licence), or name a checkpoint",
-            )
-        path = Path(package.submodule_search_locations[0]) / "checkpoints" / "current.pth"
+        raise UsageError(
+            "Contact-GraspNet is asked for seeds and is not installed",
+            hint="pip install --no-deps cgn-pytorch (only its weights are read; mind their "
+            "licence), or name a checkpoint",
+        )
     network = ContactGraspNet()
     load_strictly(network, read_weights(path, "state_dict"), str(path))
     return network

@@ -48,17 +48,23 @@ class Sighting:
 class TransTLoop:
     """One target's track. window_weight 0 to 1: None for the default of the weights.
 
-    update_iou: predicted overlap above which the second template is made anew.
+    update_iou: predicted overlap above which the second template is made anew, if the place itself
+    has a score of lost_below at least: else it might be the background's.
     """
 
     def __init__(
-        self, network: TransT, window_weight: float | None = None, update_iou: float = 0.869
+        self,
+        network: TransT,
+        window_weight: float | None = None,
+        update_iou: float = 0.869,
+        lost_below: float = 0.0,
     ) -> None:
         self._network = network
         has_updates = isinstance(network, TransTM)
         default = VOT_WINDOW if has_updates else TRANST_WINDOW
         self._window_weight = default if window_weight is None else window_weight
         self._update_iou = update_iou if has_updates else math.inf
+        self._lost_below = lost_below
         side = SEARCH_PX // STRIDE
         self._window = np.outer(np.hanning(side), np.hanning(side)).ravel()
         self._templates: tuple[Template, ...] = ()
@@ -81,7 +87,7 @@ class TransTLoop:
         best = int(np.argmax(preferred))
         self._put(found.boxes[best].double().numpy() * side, side, image.shape)
         iou = None if found.iou is None else float(found.iou[best])
-        if iou is not None and iou > self._update_iou:
+        if iou is not None and iou > self._update_iou and scores[best] >= self._lost_below:
             self._templates = (self._templates[0], self._template(image))
         low, high = self._centre - self._size / 2, self._centre + self._size / 2
         box = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))

@@ -298,7 +298,7 @@ def _planner(trial: Trial, config: Config) -> VfasGrasps | None:
     from dgeval.planning.vfas.replayed import VfasGrasps  # imports torch
 
     gripper = gripper_of(trial.robot.hand)
-    arm = RecordedArm(trial.robot, config.sync.max_pose_gap_s).at(trial.pairs[0].t_ns)
+    arm = RecordedArm(trial.robot, config.sync.max_pose_gap_s)
     return VfasGrasps(config, seed_of(trial), None if isinstance(gripper, str) else gripper, arm)
 
 

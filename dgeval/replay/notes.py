@@ -8,6 +8,7 @@ from pathlib import Path
 from dgeval.config import PIPELINES, Config
 from dgeval.paper_values import CHOICE, CONTROL, PERCEPTION, departure_note
 from dgeval.perception.trackers import tracker_named
+from dgeval.recording.contract import SEED_TOPIC
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step, grasp_source, seed_of
 from dgeval.robots.hand import Hand
@@ -30,6 +31,7 @@ class FrameCounts:
     no_depth: int = 0
     no_hand: int = 0
     no_grasp: int = 0
+    no_seed: int = 0
 
     def with_frame(self, step: Step) -> FrameCounts:
         """The counts after one more frame."""
@@ -43,6 +45,7 @@ class FrameCounts:
             predicted=self.predicted + (not step.accepted),
             no_depth=self.no_depth + unobserved,
             no_hand=self.no_hand + (step.frame.hand is None),
+            no_seed=self.no_seed + (step.vfas is None),
             no_grasp=self.no_grasp + (grasps is not None and grasps.choice is None),
         )
 
@@ -90,7 +93,8 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
     notes.append(tracker_note(config))
     if config.pipeline == "vfas":
         notes += departure_note(config, ("vfas",))
-        return notes + vfas_notes(config, seed_of(trial) is not None, trial.robot.hand)
+        notes += vfas_notes(config, seed_of(trial) is not None, trial.robot.hand)
+        return notes + contact_notes(trial, config, counts)
     source = grasp_source(trial.robot, bool(trial.choices.times), config.grasps)
     chosen = CHOICE if source == "ffhnet" else ()
     notes += departure_note(config, (*PERCEPTION, *chosen, *CONTROL))
@@ -109,6 +113,24 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
                 f"no grasp was chosen in {counts.no_grasp} of {counts.frames} frames: no candidate "
                 f"is free of the model, or none of the first {MOST_TRIED} that are is in reach"
             )
+    return notes
+
+
+def contact_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
+    """What became of Contact-GraspNet's seed, where it is asked for one."""
+    c = config.vfas
+    if c.contact_graspnet is None or c.search or seed_of(trial) is not None:
+        return []
+    from dgeval.planning.recorded_arm import recorded_arm
+
+    notes = []
+    if isinstance(arm := recorded_arm(trial.robot), str):
+        notes.append(f"the seeds are ranked by the evaluator, not by the arm's limits: {arm}")
+    if counts.no_seed == counts.frames:
+        notes.append(
+            "no seed: the target was not seen, or Contact-GraspNet has no confident grasp on it "
+            f"that the jaws and the arm can do; a seed of your own: topic {SEED_TOPIC}"
+        )
     return notes
 
 
@@ -168,7 +190,8 @@ def vfas_notes(config: Config, seeded: bool, hand: Hand | None) -> list[str]:
             f"({gripper.told}); it was trained with one of {trained.opening:.3f} m, whose links "
             f"lie {off * 1000:.0f} mm beside on average: how well it scores this one is not known"
         )
-    if config.vfas.motion_field and config.vfas.flow_weights is not None:
+    if config.vfas.motion_field and config.vfas.flow == "gmflow":
+        assert config.vfas.flow_weights is not None  # the configuration refuses it
         notes.append(f"optical flow by GMFlow, {name_of_weights(Path(config.vfas.flow_weights))}")
     elif config.vfas.motion_field:
         notes.append("stand-in: DIS in place of GMFlow")

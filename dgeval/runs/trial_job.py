@@ -72,7 +72,12 @@ def resume_key(
     The recording's content is part of it; its folder and name are not. So is the content of the
     files that the configuration names: weights, a description, a mask.
     """
-    files = {k: _digest(p) for k, p in config.files().items() if p.is_file()}
+    given_files = config.files()
+    if config.vfas.contact_graspnet == "installed":
+        from dgeval.networks.contact_graspnet import installed_weights  # imports torch
+
+        given_files["vfas.contact_graspnet"] = installed_weights() or Path("installed")
+    files = {k: _digest(p) for k, p in given_files.items() if p.is_file()}
     about = {k: v for k, v in asdict(spec).items() if k not in ("recording", "parts")}
     given = [] if estimates is None else [estimates.sha256]
     text = json.dumps(

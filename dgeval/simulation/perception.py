@@ -142,7 +142,8 @@ class ModelledCloud:
         rng = generator(0, f"model/{target.name}", 0)
         points, normals = surface_with_normals(target, SURFACE_POINTS, rng)
         low = HELD_BELOW_M if plan.presenter is not None else PLANE_M
-        seen = points[:, 2] > points[:, 2].min() + low
+        height = points[:, 2] - points[:, 2].min()
+        seen = height > min(low, height.max() / 3)  # of a flat thing something is seen too
         self._surface, self._normals = points[seen], normals[seen]
         self._camera, self._plan = camera, plan
         self._least, self._most = config.observation.min_points, config.observation.max_points

@@ -82,6 +82,15 @@ def test_transtm_tracks_as_the_original(transtm: TransTM, name: str, update_iou:
     assert (masks & wanted).sum() > 0.999 * (masks | wanted).sum() > 1000
 
 
+def test_a_doubted_place_makes_no_new_template(transtm: TransTM) -> None:
+    """Catches a template of the background, once the target is lost."""
+    sure = tracked(TransTLoop(transtm, update_iou=0.4))
+    doubting = tracked(TransTLoop(transtm, update_iou=0.4, lost_below=0.99))
+    kept = tracked(TransTLoop(transtm))
+    assert corner_and_size(doubting) == pytest.approx(corner_and_size(kept))
+    assert np.abs(corner_and_size(doubting) - corner_and_size(sure)).max() > 0.2
+
+
 def test_the_reference_tells_a_new_template_from_an_old_one() -> None:
     assert np.abs(REFERENCE["kept_track"] - REFERENCE["new_track"]).max() > 0.2
 
@@ -135,3 +144,8 @@ def test_other_weights_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"bbox_embed\.layers\.1\.bias is missing"):
         load_transt(path)
     assert "whether it is theirs isn't known" in name_of_weights(path)
+    state = TransT().state_dict()
+    state["class_embed.layers.0.bias"][3] = float("nan")
+    torch.save({"net": state}, path)
+    with pytest.raises(UsageError, match=r"class_embed\.layers\.0\.bias has values that are not"):
+        load_transt(path)

@@ -29,13 +29,14 @@ class Knowing:
 
     boxes: list[Any] = []  # noqa: RUF012 - set by each test
     has_mask = True
+    given: tuple[Any, ...] = ()
 
     def __init__(self, *settings: object) -> None:
         self.settings, self.k = settings, 0
 
     def start(self, image: np.ndarray, box: Box) -> None:
         self.k = 0
-        self.started = image.shape, box
+        Knowing.given = (*self.settings, image, box)
 
     def step(self, image: np.ndarray) -> Sighting:
         self.k += 1
@@ -99,6 +100,34 @@ def test_the_hand_is_no_part_of_the_mask() -> None:
     unknown = [type(f)(**{**f.__dict__, "hand": None}) for f in frames]
     _, with_finger = first_two(unknown, boxes)
     assert second.mask_area < 0.97 * with_finger.mask_area
+
+
+def test_the_network_gets_the_settings_and_the_picture_as_it_is() -> None:
+    """Catches settings that nobody reads, and blue taken for red."""
+    frames, boxes = make(2, slide)
+    Knowing.boxes = boxes
+    more = ("tracking.window_weight=0.3", "tracking.update_iou=0.7", "tracking.lost_below=0.2")
+    tracker = TransTTracker(load_config("dynamic", (*SETTINGS, *more)))
+    tracker.step(TrackingInput(frames[0], boxes[0], None, None, None, False))
+    *settings, image, box = Knowing.given
+    assert settings == ["made.pth", 0.3, 0.7, 0.2]
+    assert np.array_equal(image, frames[0].colour)
+    assert box == boxes[0]
+
+
+def test_a_target_that_leaves_the_image_is_lost_and_a_new_box_starts_again() -> None:
+    """Catches a box outside the image that is used, and a target of the trial before."""
+    frames, boxes = make(3, slide)
+    x0, y0, x1, y1 = boxes[1]
+    Knowing.boxes = [boxes[0], (x0 - x1 + 8.0, y0, 8.0, y1), boxes[2]]
+    tracker = TransTTracker(load_config("dynamic", SETTINGS))
+    tracker.step(TrackingInput(frames[0], boxes[0], None, None, None, False))
+    given = TrackingInput(frames[1], None, None, None, None, False)
+    assert tracker.step(given).state == "lost"
+    tracker.reset()
+    assert tracker.step(given).state == "not_started"
+    again = tracker.step(TrackingInput(frames[2], boxes[2], None, None, None, False))
+    assert (again.state, again.reacquired) == ("tracked", False)
 
 
 def test_nothing_is_told_before_a_box_is_given() -> None:

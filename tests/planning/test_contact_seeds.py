@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
+import pytest
+from dgeval.config import load_config
 from dgeval.networks.contact_graspnet import JawGrasps
+from dgeval.planning.vfas import loop
 from dgeval.planning.vfas.contacts import CONFIDENT, Rank, by_room, seed_from_contacts
+from dgeval.planning.vfas.loop import SEED_TRIES, VfasLoop
 
 
 class Given:
@@ -79,3 +86,42 @@ def test_seeds_are_ranked_by_the_arms_room_before_and_at_the_grasp() -> None:
     poses[:, 2, 3] = (0.0, 1.0, 2.0)
     marks = by_room(lambda T: rooms[round(T[2, 3], 3)], 0.1, poses)
     assert marks.tolist() == [0.2, 0.4, -np.inf]
+
+
+def loop_asked(
+    monkeypatch: pytest.MonkeyPatch, reach: Any, found: bool
+) -> tuple[VfasLoop, list[Any]]:
+    """A planner whose seeds come from Contact-GraspNet, and how that was asked."""
+    asked: list[Any] = []
+
+    def seeds(_cloud: Any, target: Any, _network: Any, rank: Any, *_: Any) -> np.ndarray | None:
+        asked.append((target, rank(np.eye(4)[None]).tolist()))
+        return np.eye(4) if found else None
+
+    monkeypatch.setattr(loop, "seed_from_contacts", seeds)
+    monkeypatch.setattr(loop, "contact_graspnet_of", lambda weights: weights)
+    monkeypatch.setattr(VfasLoop, "_quality", lambda self, cloud, poses: np.full(len(poses), 0.25))
+    config = load_config("vfas", ("vfas.contact_graspnet=made.pth",))
+    return VfasLoop(config, None, None, reach), asked
+
+
+FRAME: Any = SimpleNamespace(t_ns=7)
+
+
+def test_no_seed_is_asked_for_before_the_target_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a seed on the table, 30 cm beside a target that is told later."""
+    planner, asked = loop_asked(monkeypatch, lambda t_ns: lambda T: t_ns / 10, found=True)
+    assert planner._seed(FRAME, np.zeros((9, 3)), np.eye(4), None) is None
+    assert asked == []
+    target = near(0.1)
+    assert planner._seed(FRAME, np.zeros((9, 3)), np.eye(4), target) is not None
+    assert asked == [(target, [0.7])]  # the arm at the seed's time ranks it
+
+
+def test_the_evaluator_ranks_where_the_arm_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a fallback that isn't there, and the network asked in every frame for ever."""
+    for reach in (None, lambda t_ns: None):
+        planner, asked = loop_asked(monkeypatch, reach, found=False)
+        for _ in range(SEED_TRIES + 3):
+            planner._seed(FRAME, np.zeros((9, 3)), np.eye(4), near(0.1))
+        assert [ranks for _, ranks in asked] == [[0.25]] * SEED_TRIES

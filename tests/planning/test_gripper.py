@@ -130,7 +130,7 @@ def test_poses_go_in_and_come_out_as_the_palms(monkeypatch: pytest.MonkeyPatch) 
     T_palm_grasp = increment(np.array([0.0, 0.01, 0.1, 0.1, 0.2, 1.5]))
     palm, seed = (increment(np.array([0.5, y, 0.3, 3.0, 0.1, 0.2])) for y in (0.1, 0.2))
     seen, asked, targets = [], [], []
-    arm: Any = SimpleNamespace(room=lambda T: T)
+    arm: Any = SimpleNamespace(at=lambda t_ns: SimpleNamespace(room=lambda T: T))
     observation = Observation(np.array([[0.1, 0.2, 0.5]]), np.zeros((1, 3)))
 
     class Loop:
@@ -140,7 +140,7 @@ def test_poses_go_in_and_come_out_as_the_palms(monkeypatch: pytest.MonkeyPatch) 
             self, _config: Config, T_base_seed: Array, _gripper: Gripper, reach: Any
         ) -> None:
             seen.append(T_base_seed)
-            asked.append(reach(T_base_seed))
+            asked.append(reach(7)(T_base_seed))
 
         def step(self, frame: Seen, _T_base_camera: Array, target: Array) -> Selected:
             seen.append(frame.T_base_palm)

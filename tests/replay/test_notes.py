@@ -32,7 +32,7 @@ def test_frames_are_counted_by_what_became_of_the_target() -> None:
         Perceived(Tracked("tracked"), observation, None, Fused(True), None),
     ):
         counts = counts.with_frame(step_of(perceived))
-    assert counts == FrameCounts(frames=4, lost=2, predicted=3, no_depth=1, no_hand=4)
+    assert counts == FrameCounts(frames=4, lost=2, predicted=3, no_depth=1, no_hand=4, no_seed=4)
 
 
 def test_notes_name_stand_ins_and_what_was_left_out() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from dgeval import api
-from dgeval.config import load_config
+from dgeval.config import FILES, load_config
 from dgeval.geometry import matrix_from_pose, transform
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.manifest import TrialSpec, find_trials
@@ -228,13 +228,13 @@ def test_same_digests_for_any_jobs_name_and_repetition(
     assert other[0] == outs[0][0][0]
 
 
-def test_other_weights_under_the_same_name_are_another_result(tmp_path: Path) -> None:
+@pytest.mark.parametrize("key", FILES)
+def test_other_content_of_a_named_file_is_another_result(tmp_path: Path, key: str) -> None:
     """Catches a trial that is kept though a file that the configuration names has changed."""
     path = tmp_path / "own.pth"
-    config = load_config(
-        "vfas",
-        (f"vfas.flow_weights={path}", "vfas.flow=gmflow", "vfas.contact_graspnet=installed"),
-    )
+    needed = {"vfas.flow_weights": "vfas.flow=gmflow", "tracking.weights": "tracking.method=transt"}
+    more = (needed[key],) if key in needed else ()
+    config = load_config("vfas", (f"{key}={path}", *more))
     keys = []
     for content in (b"first", b"second", b"first"):
         path.write_bytes(content)

@@ -1830,7 +1830,7 @@ MUTANTS = [
         "dgeval/runs/trial_job.py",
         'config.model_dump(mode="json"), files, about',
         'config.model_dump(mode="json"), about',
-        "tests/replay/test_replay.py::test_other_weights_under_the_same_name_are_another_result",
+        "tests/replay/test_replay.py::test_other_content_of_a_named_file_is_another_result",
     ),
     Mutant(
         "dgeval/simulation/setting.py",
@@ -1843,6 +1843,30 @@ MUTANTS = [
         "0.0 if self.setting.belt is not None else object_velocity",
         "object_velocity",
         "tests/simulation/test_late_belt.py",
+    ),
+    Mutant(
+        "dgeval/simulation/perception.py",
+        "if len(measured) < self._least:",
+        "if False:",
+        "tests/simulation/test_modelled_cloud.py",
+    ),
+    Mutant(
+        "dgeval/simulation/perception.py",
+        "in_image & (cosine > LEAST_COSINE)",
+        "in_image",
+        "tests/simulation/test_modelled_cloud.py",
+    ),
+    Mutant(
+        "dgeval/replay/fidelity.py",
+        'words.get("twist") is True and False not in words.values()',
+        'words.get("twist") is True',
+        "tests/replay/test_fidelity.py",
+    ),
+    Mutant(
+        "dgeval/verdict/log.py",
+        'own["model"] = lambda _: replay.model',
+        'own["model"] = self.model',
+        "tests/replay/test_fidelity.py",
     ),
 ]
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from dgeval.config import Config
+from dgeval.networks.checkpoints import version_of
 from dgeval.networks.transt import TransT, load_transt
 from dgeval.networks.transt_loop import Sighting, TransTLoop
 from dgeval.perception import segmentation
@@ -26,9 +27,13 @@ from dgeval.recording.frame import Frame, MarkedThing
 TARGET = "target"  # name of the only thing that the network marks
 
 
-@cache
 def transt_of(weights: str) -> TransT:
-    """The network of a file of weights. UsageError if they can't be read or don't fit."""
+    """The network of a file of weights, read once. UsageError if it doesn't fit."""
+    return _read(weights, version_of(Path(weights)))
+
+
+@cache
+def _read(weights: str, _: tuple[int, int]) -> TransT:
     return load_transt(Path(weights))
 
 
@@ -44,7 +49,7 @@ class TransTTracker:
 
     def reset(self) -> None:
         c = self.config.tracking
-        self._loop = TransTLoop(self._network, c.window_weight, c.update_iou)
+        self._loop = TransTLoop(self._network, c.window_weight, c.update_iou, c.lost_below)
         self._marked.reset()
         self._has_started = False
 

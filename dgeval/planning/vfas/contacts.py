@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 
 from dgeval.determinism import generator
 from dgeval.geometry import Array
+from dgeval.networks.checkpoints import version_of
 from dgeval.networks.contact_graspnet import CENTRES, ContactGraspNet, load_contact_graspnet
 
 # Poses T_base_grasp (n, 4, 4) -> how good each is (n,); -inf for one that can't be done.
@@ -30,9 +31,13 @@ LEAST_CUBE, MOST_CUBE = 0.3, 0.6
 ON_TARGET = 0.005  # m from a contact to the nearest of the target's points; ours
 
 
-@cache
 def contact_graspnet_of(weights: str) -> ContactGraspNet:
     """Contact-GraspNet with a file's weights; "installed": with those of the installed package."""
+    return _read(weights, version_of(Path(weights)))
+
+
+@cache
+def _read(weights: str, _: tuple[int, int]) -> ContactGraspNet:
     return load_contact_graspnet(None if weights == "installed" else Path(weights))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from importlib import resources
@@ -13,6 +14,7 @@ import numpy as np
 from dgeval.config import Config, VfasConfig
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, rotation_vector, transform
+from dgeval.networks.checkpoints import version_of
 from dgeval.networks.pointnet2 import GraspEvaluator, load_evaluator
 from dgeval.perception.self_filter import hand_pixels
 from dgeval.planning.vfas.contacts import (
@@ -32,15 +34,21 @@ MOST_PIXELS = 40_000  # pixels of a frame that the cloud is thinned to, about
 # pixels
 EDGE_PX, EDGE_M = 5, 0.025
 SAMPLED = 256  # poses from which the evaluator chooses a seed
+SEED_TRIES = 5  # frames in which Contact-GraspNet is asked for a seed; ours
 
 
-@cache
 def evaluator_of(path: str | None) -> GraspEvaluator:
     """The evaluator of a file of weights; the shipped one for None."""
     shipped = Path(
         str(resources.files("dgeval.networks") / "weights" / "vfas_evaluator.safetensors")
     )
-    return load_evaluator(shipped if path is None else Path(path))
+    file = shipped if path is None else Path(path)
+    return _read(file, version_of(file))
+
+
+@cache
+def _read(file: Path, _: tuple[int, int]) -> GraspEvaluator:
+    return load_evaluator(file)
 
 
 def scene_cloud(frame: Frame, T_base_camera: Array, margin: float) -> Array:
@@ -107,7 +115,10 @@ def seed_from_cloud(
 
 def flow_of(config: VfasConfig) -> Flow:
     """The optical flow that is configured. UsageError if its weights can't be read."""
-    return dis_flow() if config.flow_weights is None else gmflow(Path(config.flow_weights))
+    if config.flow == "dis" or not config.motion_field:
+        return dis_flow()
+    assert config.flow_weights is not None  # the configuration refuses it
+    return gmflow(Path(config.flow_weights))
 
 
 def proportional_twist(T_base_hand: Array, T_base_goal: Array, gain: float) -> Array:
@@ -123,8 +134,10 @@ class VfasLoop:
     """The planner with its cloud and motion field.
 
     T_base_seed (4, 4); None: config.vfas.search_ahead in front of the gripper if
-    config.vfas.search, else a seed drawn on the cloud. gripper: default: the trained one; all poses
-    are of its grasp frame. reach: ranks Contact-GraspNet's seeds; default: the evaluator does.
+    config.vfas.search; of Contact-GraspNet on the target if its weights are given, once the target
+    is seen; else drawn on the cloud. gripper: default: the trained one; all poses are of its grasp
+    frame. reach: of the arm at a time, ns, ranks Contact-GraspNet's seeds; where it is None the
+    evaluator does. After SEED_TRIES frames without a seed none is asked for.
     """
 
     def __init__(
@@ -132,9 +145,10 @@ class VfasLoop:
         config: Config,
         T_base_seed: Array | None,
         gripper: Gripper | None = None,
-        reach: Reach | None = None,
+        reach: Callable[[int], Reach | None] | None = None,
     ) -> None:
         self._config, self._given_seed, self._reach = config, T_base_seed, reach
+        self._tries = 0
         network, c = evaluator_of(config.vfas.evaluator), config.vfas
         if c.labels is not None or c.centre is not None:
             sizes = replace(
@@ -195,9 +209,13 @@ class VfasLoop:
             ahead[2, 3] = c.search_ahead
             return frame.T_base_palm @ ahead
         if c.contact_graspnet is not None:
+            if target is None or self._tries == SEED_TRIES:
+                return None
+            self._tries += 1
+            reach = None if self._reach is None else self._reach(frame.t_ns)
             network, opening = contact_graspnet_of(c.contact_graspnet), self._judge.gripper.opening
             by_quality = partial(self._quality, cloud)
-            rank = by_quality if self._reach is None else partial(by_room, self._reach, c.pregrasp)
+            rank = by_quality if reach is None else partial(by_room, reach, c.pregrasp)
             return seed_from_contacts(cloud, target, network, rank, opening, self._config.seed)
         return (
             seed_from_cloud(cloud, self._judge, T_base_camera, self._config.seed)

@@ -9,9 +9,10 @@ import numpy as np
 from dgeval.config import Config
 from dgeval.geometry import Array, invert, rotation_angle, transform
 from dgeval.perception.types import Observation
-from dgeval.planning.recorded_arm import ArmAt
+from dgeval.planning.recorded_arm import RecordedArm
 from dgeval.planning.schedule import Delayed
 from dgeval.planning.servo import ServoCommand
+from dgeval.planning.vfas.contacts import Reach
 from dgeval.planning.vfas.gripper import Gripper, trained_gripper
 from dgeval.planning.vfas.loop import VfasLoop, proportional_twist
 from dgeval.planning.vfas.selection import Selected
@@ -46,14 +47,14 @@ class VfasGrasps:
         config: Config,
         T_base_seed: Array | None,
         gripper: Gripper | None = None,
-        arm: ArmAt | None = None,
+        arm: RecordedArm | None = None,
     ) -> None:
         self._config = config
         gripper = gripper or trained_gripper()
         self._T_palm_grasp, self._T_grasp_palm = gripper.T_palm_grasp, invert(gripper.T_palm_grasp)
         seed = None if T_base_seed is None else T_base_seed @ self._T_palm_grasp
-        reach = None if arm is None else (lambda T: arm.room(T @ self._T_grasp_palm))
-        self._loop = VfasLoop(config, seed, gripper, reach)
+        self._arm = arm
+        self._loop = VfasLoop(config, seed, gripper, self._reach)
         self._coming: Delayed[Selected] = Delayed(config.schedule.grasps_latency_s)
         self._due_ns: int | None = None
 
@@ -85,6 +86,11 @@ class VfasGrasps:
                 proportional_twist(hand, goal, config.gain),
             )
         return VfasResult(at[1], self._loop.velocity, command)
+
+    def _reach(self, t_ns: int) -> Reach | None:
+        """The arm's room at poses of the grasp frame; None where the arm is not known then."""
+        at = None if self._arm is None else self._arm.at(t_ns)
+        return None if at is None else lambda T: at.room(T @ self._T_grasp_palm)
 
     def _is_due(self, t_ns: int) -> bool:
         """Whether a frame begins an iteration: one per period in the mean at any camera's rate.
