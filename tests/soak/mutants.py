@@ -1701,9 +1701,9 @@ MUTANTS = [
         "tests/recording/test_choices.py::test_beliefs_that_are_stamped_by_the_recorder_follow_its_clock",
     ),
     Mutant(
-        "dgeval/planning/model_grasps.py",
-        "        return arm.solve(T_arm_base @ T_base_palm, np.array(q, dtype=float)) is not None",
-        "        return arm.solve(T_base_palm, np.array(q, dtype=float)) is not None",
+        "dgeval/planning/recorded_arm.py",
+        "return self.arm.solve(self.T_arm_base @ T_base_palm, self.q)",
+        "return self.arm.solve(T_base_palm, self.q)",
         "tests/networks/test_networks.py::test_an_arm_that_stands_in_a_world_is_asked_in_its_own_frame",
     ),
     Mutant(
