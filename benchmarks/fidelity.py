@@ -14,10 +14,8 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from dgeval.config import load_config
 from dgeval.determinism import limit_threads
-from dgeval.geometry import pose_from_matrix
 from dgeval.recording.contract import (
     CLOSE_EVENT,
     COMMAND_TOPIC,
@@ -28,10 +26,9 @@ from dgeval.recording.contract import (
     VELOCITY_TOPIC,
 )
 from dgeval.recording.manifest import find_trials
-from dgeval.recording.messages import StampedPose
 from dgeval.recording.trials import Trial, open_trial
 from dgeval.replay.causal import Step, replay
-from dgeval.replay.fidelity import Compared
+from dgeval.replay.fidelity import Compared, Replayed
 
 from benchmarks.result import table, write
 
@@ -58,31 +55,20 @@ CHANGES: tuple[tuple[str, str, str | None], ...] = (
 def recorded_by(trial: Trial, steps: list[Step]) -> Trial:
     """The trial as a robot would have recorded it that is this replay."""
     periods = [c for s in steps for c in s.periods]
-    targets = [
-        StampedPose(s.frame.t_ns, "", "", pose_from_matrix(s.T_camera_model))
-        for s in steps
-        if s.T_camera_model is not None
-    ]
-    speeds = [
-        (s.frame.t_ns, np.append(s.perceived.estimate.velocity, np.zeros(3)))
-        for s in steps
-        if s.perceived.estimate is not None
-    ]
+    own = Replayed()
+    for step in steps:
+        own.add(step)
     commands = [(c.t_ns, c.command.twist) for c in periods if c.command is not None]
     chosen = [
         (c.t_ns, c.grasps.choice) for c in periods if c.grasps is not None and c.grasps.choice
-    ]
-    grasps = [
-        StampedPose(t_ns, trial.robot.base_frame or "", "", pose_from_matrix(choice.T_base_palm))
-        for t_ns, choice in chosen
     ]
     scores = [(t_ns, c.hand_score) for t_ns, c in chosen if c.hand_score is not None]
     decisions = [(c.t_ns, float(c.execute)) for c in periods if c.execute is not None]
     times = {k: v for k, v in trial.scan.times.items() if not k.startswith("/dgeval/belief")}
     scan = replace(
         trial.scan,
-        poses={TARGET_TOPIC: targets, GRASP_TOPIC: grasps},
-        twists={VELOCITY_TOPIC: speeds, COMMAND_TOPIC: commands},
+        poses={TARGET_TOPIC: own.targets, GRASP_TOPIC: own.grasps},
+        twists={VELOCITY_TOPIC: own.velocities, COMMAND_TOPIC: commands},
         numbers={SCORE_TOPIC: scores, EXECUTE_TOPIC: decisions},
         times=times,
     )

@@ -69,8 +69,8 @@ def truth_of(trial: Any) -> dict[int, Array]:
     return out
 
 
-def frames_of(spec: TrialSpec, config: Config) -> Iterator[tuple[int, Array, Array, Array]]:
-    """Time ns, T_camera_object true, T_base_camera and the model, camera frame, while accepted."""
+def frames_of(spec: TrialSpec, config: Config) -> Iterator[tuple[int, Array, Array]]:
+    """Time ns, T_camera_object true, and the model, camera frame, while accepted."""
     trial = open_trial(spec, config)
     truth, end_ns = truth_of(trial), trial.event_ns("close")
     for step in replay(trial, config):
@@ -80,7 +80,7 @@ def frames_of(spec: TrialSpec, config: Config) -> Iterator[tuple[int, Array, Arr
         if T is None or not step.accepted or t_ns not in truth or step.model is None:
             continue
         assert step.T_camera_model is not None
-        yield t_ns, invert(T) @ truth[t_ns], T, transform(step.T_camera_model, step.model.points)
+        yield t_ns, invert(T) @ truth[t_ns], transform(step.T_camera_model, step.model.points)
 
 
 def compared(spec: TrialSpec, size: int) -> tuple[Clouds, Clouds]:
@@ -93,7 +93,7 @@ def compared(spec: TrialSpec, size: int) -> tuple[Clouds, Clouds]:
     modelled, noise = ModelledCloud(target, camera, config, plan), PerceptionNoise()
     real, made = Clouds(points), Clouds(points)
     last_seen = np.full(len(points), -np.inf)
-    for k, (t_ns, T_camera_object, _, model) in enumerate(frames_of(spec, config)):
+    for k, (t_ns, T_camera_object, model) in enumerate(frames_of(spec, config)):
         rng = generator(0, "noise", k)
         error = np.append(
             rng.normal(0, noise.position, 3), np.radians(rng.normal(0, noise.angle, 3))

@@ -25,6 +25,7 @@ from dgeval.hindsight.second_pass import Hindsight, look_back
 from dgeval.hindsight.surface import CausalFrame, Surface, causal_frame_of
 from dgeval.perception.pipeline import Perception
 from dgeval.planning.control import Choice
+from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
@@ -77,7 +78,7 @@ def resume_key(
         from dgeval.networks.contact_graspnet import installed_weights  # imports torch
 
         given_files["vfas.contact_graspnet"] = installed_weights() or Path("installed")
-    files = {k: _digest(p) for k, p in given_files.items() if p.is_file()}
+    files = {k: sha256_of(p) for k, p in given_files.items() if p.is_file()}
     about = {k: v for k, v in asdict(spec).items() if k not in ("recording", "parts")}
     given = [] if estimates is None else [estimates.sha256]
     text = json.dumps(
@@ -85,12 +86,6 @@ def resume_key(
         sort_keys=True,
     )
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def replay_trial(
@@ -222,7 +217,7 @@ def _replay_trial(
         hindsight_done = time.perf_counter()
         elsewhere = None if estimates is None else estimates.of(trial.robot.hand_found)
         log = log_of(trial, elsewhere)
-        if compared.speaks(close_ns or last_ns):
+        if not log.recorded.is_complete and compared.speaks(close_ns or last_ns):
             log = replace(log, recorded=log.recorded.completed_by(compared.own))
         judgement = judge(log, hindsight, config.verdict, config.seed)
         for stage, seconds in (

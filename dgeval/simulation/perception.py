@@ -168,7 +168,7 @@ class ModelledCloud:
             return None
         if self._fusion.model is not None and len(measured) > self._most:
             measured = measured[np.sort(rng.permutation(len(measured))[: self._most])]
-        has_normal = np.tile([0.0, 0.0, -1.0], (len(measured), 1))
-        self._fusion.step(Observation(measured, has_normal), invert(T_camera_believed), rng)
+        facing = np.tile([0.0, 0.0, -1.0], (len(measured), 1))  # any will do
+        self._fusion.step(Observation(measured, facing), invert(T_camera_believed), rng)
         assert self._fusion.model is not None
         return self._fusion.model.points

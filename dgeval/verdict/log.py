@@ -50,12 +50,17 @@ class Recorded:
     model: Callable[[int], Array | None]
     source: str = "recorded"
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether the robot recorded every kind of belief."""
+        return bool(self.grasps and self.targets and self.velocities)
+
     def completed_by(self, replay: Replayed) -> Recorded:
         """The same with a faithful replay's own beliefs in place of those that are missing.
 
         Target and model go together: a model frame is its owner's.
         """
-        if self.grasps and self.targets and self.velocities:
+        if self.is_complete:
             return self
         own: dict[str, Any] = {"source": "replayed_faithful"}
         if not self.targets:
