@@ -278,10 +278,10 @@ class EstimationConfig(Section):
 
 
 class GraspsConfig(Section):
-    source: Literal["auto", "recorded", "ffhnet", "none"] = Field(
+    source: Literal["auto", "recorded", "candidates", "ffhnet", "none"] = Field(
         "auto",
-        description="auto: the robot's own where they are recorded, else FFHNet where the hand is "
-        "one it knows",
+        description="auto: the grasp that the robot chose where it is recorded, else a choice "
+        "among its recorded candidates, else FFHNet where the hand is one it knows",
     )
     candidates: int = Field(
         256,
@@ -502,6 +502,16 @@ class VerdictConfig(Section):
     )
 
 
+class FidelityConfig(Section):
+    seeds: int = Field(
+        0,
+        ge=0,
+        le=8,
+        description="further replays with other seeds, where the robot recorded what it believed: "
+        "a difference from it that two seeds show too is none",
+    )
+
+
 class ReviewConfig(Section):
     jpeg_quality: int = Field(
         85, ge=1, le=100, description="only for colour that was not recorded as JPEG or PNG"
@@ -560,6 +570,7 @@ class Config(Section):
     vfas: VfasConfig = VfasConfig()
     execution: ExecutionConfig = ExecutionConfig()
     schedule: ScheduleConfig = ScheduleConfig()
+    fidelity: FidelityConfig = FidelityConfig()
     verdict: VerdictConfig = VerdictConfig()
     review: ReviewConfig = ReviewConfig()
     checks: ChecksConfig = ChecksConfig()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,3 +52,10 @@ def test_no_verdict_reads_a_truth_topic_or_imports_by_name() -> None:
             assert "/truth" not in code, path
             assert "import_module" not in code, path
             assert "__import__" not in code, path
+
+
+def test_a_replay_that_asks_no_network_does_not_load_torch() -> None:
+    """Catches an import at the top of a module that costs every command seconds."""
+    code = "import sys, dgeval.runs.trial_job; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from dgeval.planning.schedule import Delayed
 from dgeval.planning.servo import Servo, ServoCommand
 from dgeval.recording.choices import Numbers
 from dgeval.robots.hand import Hand
+
+if TYPE_CHECKING:
+    from dgeval.planning.proposals import Proposals  # its module imports torch
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +83,8 @@ class Grasps(Protocol):
 
     def see(
         self, t_ns: int, frame: int, model: Model, belief: Belief, T_base_camera: Array
-    ) -> None:
-        """An accepted frame by its time and index, with the model in it."""
+    ) -> Proposals | None:
+        """An accepted frame by its time and index, with the model in it; new candidates, if any."""
         ...
 
     def choose(
@@ -119,14 +122,18 @@ class Controller:
         belief: Belief | None,
         model: Model | None,
         T_base_camera: Array,
-    ) -> None:
-        """One frame's result. belief: None where nothing is known of the target."""
+    ) -> Proposals | None:
+        """One frame's result, and the new candidates if there are any.
+
+        belief: None where nothing is known of the target.
+        """
         if belief is None or model is None:
             self._coming.step(t_ns, None)
-            return
+            return None
         self._coming.step(t_ns, (belief, model.points.mean(axis=0)))
-        if self._grasps is not None and belief.seen:
-            self._grasps.see(t_ns, frame, model, belief, T_base_camera)
+        if self._grasps is None or not belief.seen:
+            return None
+        return self._grasps.see(t_ns, frame, model, belief, T_base_camera)
 
     def run(self, states: Sequence[HandState]) -> list[Control]:
         """The control periods at states of the hand, in time order."""

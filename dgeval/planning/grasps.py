@@ -284,6 +284,11 @@ class Feasible:
                 break
         return None
 
+    def refused(self) -> list[int]:
+        """Rows that were found not free or not reached."""
+        known = (self._known_free, self._known_reached)
+        return [row for found in known for row, is_good in found.items() if not is_good]
+
 
 def evaluate(cloud: EncodedCloud, networks: Networks, T_cloud_palm: Array, joints: Array) -> Array:
     """Scores (n,) of palm poses (n, 4, 4), cloud's frame.

@@ -1,12 +1,14 @@
-"""Grasps by FFHNet on the model cloud of every accepted frame, and the choice of one of them.
+"""The choice among candidates at every control period, by the dynamic metric.
 
-The choice is by the dynamic metric, among those that are free of overlap and in reach.
+Candidates come with every accepted frame and move with the target: FFHNet's on the model cloud, or
+those that the robot recorded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -17,30 +19,56 @@ from dgeval.planning.carried import Belief
 from dgeval.planning.control import Choice, GraspResult, HandState
 from dgeval.planning.grasps import networks_of
 from dgeval.planning.proposals import Chooser, Proposals, drawn_proposals
-from dgeval.planning.recorded_arm import RecordedArm
 from dgeval.planning.schedule import Delayed
-from dgeval.recording.robot import RobotStates
+
+# of a hand to score: index of its result, time ns, proposals, T_object_palm (4, 4), joints (n,)
+ToScore = tuple[int, int, Proposals, Array, Array]
 
 
-class ModelGrasps:
-    """Candidates of the newest usable frame, carried with the model, and the one chosen last."""
+class ProposalSource(Protocol):
+    """Where candidates and the scores of the hand come from. c_e: threshold of those scores."""
 
-    def __init__(self, robot: RobotStates, config: Config) -> None:
+    c_e: float
+
+    def propose(
+        self,
+        t_ns: int,
+        frame: int,
+        model: Model,
+        belief: Belief,
+        T_base_camera: Array,
+        kept: tuple[Array, Array] | None,
+    ) -> Proposals | None:
+        """Candidates of an accepted frame; None without new ones.
+
+        kept: T_object_palm (4, 4) and joints (n,) rad of the grasp chosen last, which is one of
+        them.
+        """
+        ...
+
+    def hand_scores(self, hands: Sequence[ToScore]) -> list[float | None]:
+        """Scores of the hand where it is."""
+        ...
+
+
+class FFHNetProposals:
+    """FFHNet's candidates for the model cloud, and its evaluator's scores."""
+
+    def __init__(self, config: Config) -> None:
         self._config = config
         self._networks = networks_of(config.grasps)
         self.c_e = self._networks.c_e
-        self._coming: Delayed[Proposals] = Delayed(config.schedule.grasps_latency_s)
-        self._chooser = Chooser(config.selection, self._reaches)
-        # T_model_palm (4, 4) and joint angles (n,) rad of the grasp chosen last
-        self._kept: tuple[Array, Array] | None = None
-        self._arm = RecordedArm(robot, config.sync.max_pose_gap_s)
-        self._t_ns = 0
 
-    def see(
-        self, t_ns: int, frame: int, model: Model, belief: Belief, T_base_camera: Array
-    ) -> None:
-        """Candidates of an accepted frame; the grasp chosen last is one of them."""
-        drawn = drawn_proposals(
+    def propose(
+        self,
+        t_ns: int,  # noqa: ARG002  as of `RecordedProposals`
+        frame: int,
+        model: Model,
+        belief: Belief,
+        T_base_camera: Array,
+        kept: tuple[Array, Array] | None,
+    ) -> Proposals:
+        return drawn_proposals(
             model.points,
             belief.T_base_object,
             T_base_camera,
@@ -48,9 +76,50 @@ class ModelGrasps:
             self._config.grasps,
             self._config.seed,
             frame,
-            self._kept,
+            kept,
         )
-        self._coming.step(t_ns, drawn)
+
+    def hand_scores(self, hands: Sequence[ToScore]) -> list[float | None]:
+        """All of one set of candidates at a time."""
+        out: list[float | None] = [None] * len(hands)
+        left = list(range(len(hands)))
+        while left:
+            proposals = hands[left[0]][2]
+            same = [k for k in left if hands[k][2] is proposals]
+            left = [k for k in left if hands[k][2] is not proposals]
+            poses = np.array([hands[k][3] for k in same])
+            preshapes = np.array([hands[k][4] for k in same])
+            scores = proposals.hand_scores(poses, preshapes, self._networks)
+            for k, score in zip(same, scores.tolist(), strict=True):
+                out[k] = score
+        return out
+
+
+class ModelGrasps:
+    """Candidates of the newest usable frame, carried with the model, and the one chosen last.
+
+    reaches: whether the arm reaches T_base_palm (4, 4) at a time, ns.
+    """
+
+    def __init__(
+        self, source: ProposalSource, reaches: Callable[[int, Array], bool], config: Config
+    ) -> None:
+        self._source = source
+        self.c_e = source.c_e
+        self._coming: Delayed[Proposals] = Delayed(config.schedule.grasps_latency_s)
+        self._chooser = Chooser(config.selection, lambda T: reaches(self._t_ns, T))
+        # T_model_palm (4, 4) and joint angles (n,) rad of the grasp chosen last
+        self._kept: tuple[Array, Array] | None = None
+        self._t_ns = 0
+
+    def see(
+        self, t_ns: int, frame: int, model: Model, belief: Belief, T_base_camera: Array
+    ) -> Proposals | None:
+        """Candidates of an accepted frame; the grasp chosen last is one of them."""
+        drawn = self._source.propose(t_ns, frame, model, belief, T_base_camera, self._kept)
+        if drawn is not None:
+            self._coming.step(t_ns, drawn)
+        return drawn
 
     def choose(
         self, states: Sequence[HandState], beliefs: Sequence[Belief | None]
@@ -60,8 +129,7 @@ class ModelGrasps:
         None before there were candidates, and where nothing is known of the target.
         """
         out: list[GraspResult | None] = []
-        # of states with a palm pose: index, and proposals, T_object_palm of the hand, preshape
-        to_score: list[tuple[int, Proposals, Array, Array]] = []
+        to_score: list[ToScore] = []
         for state, belief in zip(states, beliefs, strict=True):
             at = self._coming.at(state.t_ns)
             if at is None or belief is None:
@@ -80,32 +148,12 @@ class ModelGrasps:
             score = float(proposals.scores[row])
             if palm is not None:
                 T_object_hand = invert(T_base_object) @ palm
-                to_score.append((len(out), proposals, T_object_hand, preshape))
-            out.append(GraspResult(n, Choice(T_base_object @ pose, None, score, metric, preshape)))
-        self._score(out, to_score)
+                to_score.append((len(out), state.t_ns, proposals, T_object_hand, preshape))
+            joints = preshape if len(preshape) else None
+            out.append(GraspResult(n, Choice(T_base_object @ pose, None, score, metric, joints)))
+        for hand, hand_score in zip(to_score, self._source.hand_scores(to_score), strict=True):
+            result = out[hand[0]]
+            assert result is not None
+            assert result.choice is not None
+            out[hand[0]] = replace(result, choice=replace(result.choice, hand_score=hand_score))
         return out
-
-    def _score(
-        self,
-        results: list[GraspResult | None],
-        to_score: list[tuple[int, Proposals, Array, Array]],
-    ) -> None:
-        """Fill in the evaluator's scores of the hand, all of one set of candidates at a time."""
-        while to_score:
-            proposals = to_score[0][1]
-            same = [entry for entry in to_score if entry[1] is proposals]
-            to_score = [entry for entry in to_score if entry[1] is not proposals]
-            poses = np.array([T for _, _, T, _ in same])
-            preshapes = np.array([preshape for _, _, _, preshape in same])
-            scores = proposals.hand_scores(poses, preshapes, self._networks)
-            for (index, _, _, _), score in zip(same, scores.tolist(), strict=True):
-                result = results[index]
-                assert result is not None
-                assert result.choice is not None
-                choice = replace(result.choice, hand_score=score)
-                results[index] = replace(result, choice=choice)
-
-    def _reaches(self, T_base_palm: Array) -> bool:
-        """Whether the arm reaches a pose (4, 4) from where it is; True where that is not known."""
-        arm = self._arm.at(self._t_ns)
-        return arm is None or arm.solve(T_base_palm) is not None

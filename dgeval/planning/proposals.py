@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,8 @@ class Proposals:
     Object: the target's own frame, in replay that of the model. T_object_palm (n, 4, 4), preshapes
     (n, k) rad, scores (n,). cloud: what they were drawn for, in axes view with T_view_object; None
     of known grasps. support: normal (3,) and height m of the support in those axes. kept: the last
-    candidate is the grasp chosen before.
+    candidate is the grasp chosen before. left_out: rows that were found not free or out of reach so
+    far.
     """
 
     T_object_palm: Array
@@ -42,6 +43,12 @@ class Proposals:
     config: GraspsConfig | None = None
     support: tuple[Array, float] | None = None
     kept: bool = False
+    left_out: set[int] = field(default_factory=set)
+
+    @property
+    def eligible(self) -> NDArray[np.intp]:
+        """Rows that nothing has ruled out so far."""
+        return np.setdiff1d(np.arange(len(self.scores)), sorted(self.left_out))
 
     def free(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Whether the hand at candidates (k,) lies outside the cloud they were drawn for.
@@ -144,6 +151,7 @@ class Chooser:
         if seen or self._chosen is None:
             margin = self._config.keep_margin if proposals.kept else 0.0
             self._chosen = self._feasible.first(by_metric(metric, margin))
+            proposals.left_out.update(self._feasible.refused())
         if self._chosen is None:
             return None
         return self._chosen, None if palm is None else float(metric[self._chosen])

@@ -69,3 +69,8 @@ class RecordedArm:
         if any(value is None for value in q):
             return None
         return ArmAt(arm, T_arm_base, np.array(q, dtype=float))
+
+    def reaches(self, t_ns: int, T_base_palm: Array) -> bool:
+        """Whether it reaches a pose (4, 4) from where it is then; True where that is not known."""
+        arm = self.at(t_ns)
+        return arm is None or arm.solve(T_base_palm) is not None

@@ -6,16 +6,19 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from dgeval.geometry import Array, matrix_from_pose
 from dgeval.recording.contract import (
     ACCEPTED_TOPIC,
+    CANDIDATES_TOPIC,
     EXECUTE_TOPIC,
     GRASP_SCORE_TOPIC,
     GRASP_TOPIC,
     SCORE_TOPIC,
     SEED_TOPIC,
 )
-from dgeval.recording.messages import StampedPose
+from dgeval.recording.messages import StampedPose, StampedPoses
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.scan import Scan
 
@@ -39,10 +42,20 @@ class Numbers:
 
 
 @dataclass(frozen=True)
+class CandidateSet:
+    """What a robot could choose from, of the image at t_ns: T_base_palm (n, 4, 4), scores (n,)."""
+
+    t_ns: int
+    T_base_palm: Array
+    scores: Array
+
+
+@dataclass(frozen=True)
 class RecordedChoices:
     """The robot's grasps T_base_palm (4, 4) with their stamps, ns, in time order.
 
     scores: of the chosen grasp. hand_scores: of the hand as it is. decisions: whether to close.
+    candidates: in time order.
     """
 
     times: tuple[int, ...] = ()
@@ -50,6 +63,7 @@ class RecordedChoices:
     scores: Numbers = Numbers()
     hand_scores: Numbers = Numbers()
     decisions: Numbers = Numbers()
+    candidates: tuple[CandidateSet, ...] = ()
 
     def grasp_at(self, t_ns: int) -> Array | None:
         """The newest grasp by then; None before the first."""
@@ -78,8 +92,41 @@ def recorded_choices(found: Scan, span: tuple[int, int], robot: RobotStates) -> 
     return RecordedChoices(
         tuple(t_ns for t_ns, _ in grasps),
         tuple(T for _, T in grasps),
-        *(_numbers(found, name, span) for name in (GRASP_SCORE_TOPIC, SCORE_TOPIC, EXECUTE_TOPIC)),
+        _numbers(found, GRASP_SCORE_TOPIC, span),
+        _numbers(found, SCORE_TOPIC, span),
+        _numbers(found, EXECUTE_TOPIC, span),
+        _candidates(found, span, robot),
     )
+
+
+def _candidates(found: Scan, span: tuple[int, int], robot: RobotStates) -> tuple[CandidateSet, ...]:
+    """The sets that have as many scores as poses, and whose frame is known.
+
+    Scores have no stamp: they belong to the newest set by the time they were logged.
+    """
+    out = []
+    listed = sorted(found.candidates, key=lambda one: one.log_ns)
+    logged = [one.log_ns for one in listed]
+    scores: dict[int, Array] = {}
+    for log_ns, values in sorted(found.candidate_scores, key=lambda one: one[0]):
+        scores.setdefault(bisect_right(logged, log_ns) - 1, values)
+    for k, one in enumerate(listed):
+        own, t_ns = scores.get(k), one.t_ns or one.log_ns
+        if own is None or len(own) != len(one.poses) or not span[0] <= t_ns <= span[1]:
+            continue
+        T_base = _T_base(one, robot)
+        usable = np.isfinite(one.poses).all(axis=1) & np.isfinite(own)
+        if T_base is None or not usable.any():
+            continue
+        poses = np.array([matrix_from_pose(pose) for pose in one.poses[usable]])
+        out.append(CandidateSet(t_ns, T_base @ poses, own[usable]))
+    return tuple(sorted(out, key=lambda one: one.t_ns))
+
+
+def _T_base(one: StampedPoses, robot: RobotStates) -> Array | None:
+    """T_base_x (4, 4) of the frame that a set is given in; None where it is not known."""
+    identity = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    return in_base(StampedPose(one.t_ns, one.parent, "", identity), one.log_ns, robot)
 
 
 def logged_poses(found: Scan, topic: str) -> list[tuple[StampedPose, int]]:
@@ -117,6 +164,12 @@ def unplaced(found: Scan, robot: RobotStates) -> list[str]:
         if poses and all(in_base(pose, log_ns, robot) is None for pose, log_ns in poses):
             frame = poses[0][0].parent
             out.append(f"{topic} is given in {frame!r}, and nothing says where that is in {base!r}")
+    sets = found.candidates
+    if sets and all(_T_base(one, robot) is None for one in sets):
+        frame = sets[0].parent
+        out.append(
+            f"{CANDIDATES_TOPIC} is given in {frame!r}, and nothing says where that is in {base!r}"
+        )
     return out
 
 

@@ -38,6 +38,12 @@ VELOCITY_TOPIC: Final = "/dgeval/belief/velocity"
 GRASP_TOPIC: Final = "/dgeval/belief/grasp"
 """PoseStamped, T_base_palm: the grasp that the robot chose."""
 
+CANDIDATES_TOPIC: Final = "/dgeval/belief/candidates"
+"""PoseArray, T_base_palm at its stamp, an image's time: grasps that the robot could choose from."""
+
+CANDIDATE_SCORES_TOPIC: Final = "/dgeval/belief/candidate_scores"
+"""Float64MultiArray: predicted success of each of the newest candidates, in their order."""
+
 GRASP_JOINTS_TOPIC: Final = "/dgeval/belief/grasp_joints"
 """JointState, rad or m: the preshape of the chosen grasp."""
 

@@ -111,6 +111,26 @@ def poses_of(message: Any) -> list[StampedPose]:
 
 
 @dataclass(frozen=True, slots=True)
+class StampedPoses:
+    """Several poses (n, 7) px py pz qx qy qz qw in the frame `parent`, at one time, ns.
+
+    log_ns: when they were recorded.
+    """
+
+    t_ns: int
+    log_ns: int
+    parent: str
+    poses: Array
+
+
+def stamped_poses_of(message: Any, log_ns: int) -> StampedPoses:
+    """The poses of a PoseArray."""
+    listed = [pose_numbers(pose.position, pose.orientation) for pose in message.poses]
+    parent = message.header.frame_id.lstrip("/")
+    return StampedPoses(stamp_ns(message), log_ns, parent, np.reshape(listed, (-1, 7)))
+
+
+@dataclass(frozen=True, slots=True)
 class CameraModel:
     """Intrinsics with the frame they belong to and the lens's distortion.
 

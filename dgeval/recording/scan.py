@@ -21,6 +21,8 @@ from dgeval.recording.clocks import RecorderClock, recorder_clock
 from dgeval.recording.containers.container import Opened, RawMessage
 from dgeval.recording.contract import (
     ACCEPTED_TOPIC,
+    CANDIDATE_SCORES_TOPIC,
+    CANDIDATES_TOPIC,
     DEPTH_UNIT,
     EVENTS_TOPIC,
     EXECUTE_TOPIC,
@@ -50,12 +52,14 @@ from dgeval.recording.messages import (
     Event,
     JointSample,
     StampedPose,
+    StampedPoses,
     camera_model,
     event_of,
     header_stamp_ns,
     joints_of,
     poses_of,
     stamp_ns,
+    stamped_poses_of,
 )
 from dgeval.recording.namespaces import namespace_of
 from dgeval.recording.video import EXTRA, VideoDecoder, codec_of, is_available
@@ -143,7 +147,8 @@ class Scan:
     depth_units: m per unit, by the topic of librealsense's option. not_events: entries of the
     events' topic that are not understood. description_changes: topics of several descriptions.
     recorder_clock: where the recorder's clock is not that of the stamps; events and numbers
-    without a stamp are moved by it. numbers: by topic, each with its log time, ns.
+    without a stamp are moved by it. numbers: by topic, each with its log time, ns;
+    candidate_scores (n,) likewise.
     """
 
     opened: Opened
@@ -158,6 +163,8 @@ class Scan:
     grippers: dict[str, list[tuple[int, float]]] = field(default_factory=lambda: defaultdict(list))
     detections: dict[str, list[Detection]] = field(default_factory=lambda: defaultdict(list))
     numbers: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    candidates: list[StampedPoses] = field(default_factory=list)
+    candidate_scores: list[tuple[int, Array]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     not_events: list[str] = field(default_factory=list)
     recorder_clock: RecorderClock | None = None
@@ -258,6 +265,11 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 if number is not None:
                     at = message.log_ns if header is None else stamp_ns(gripper)
                     out.grippers[message.topic].append((at or message.log_ns, number))
+            elif message.topic == CANDIDATES_TOPIC:
+                out.candidates.append(stamped_poses_of(opened.decode(message), message.log_ns))
+            elif message.topic == CANDIDATE_SCORES_TOPIC:
+                scores = np.array(opened.decode(message).data, dtype=np.float64).ravel()
+                out.candidate_scores.append((message.log_ns, scores))
             elif message.topic in NUMBERS:
                 value = float(opened.decode(message).data)
                 if np.isfinite(value):

@@ -130,6 +130,23 @@ def pose_stamped(t_ns: int, frame_id: str, T: Any) -> Any:
     )
 
 
+def pose_array(t_ns: int, frame_id: str, T: Any) -> Any:
+    """geometry_msgs/PoseArray from T (n, 4, 4)."""
+    return message(
+        "geometry_msgs/PoseArray",
+        header=header(t_ns, frame_id),
+        poses=[pose_message(pose_from_matrix(one)) for one in T],
+    )
+
+
+def numbers(values: Any) -> Any:
+    """std_msgs/Float64MultiArray from values (n,)."""
+    layout = message("std_msgs/MultiArrayLayout", dim=[], data_offset=0)
+    return message(
+        "std_msgs/Float64MultiArray", layout=layout, data=np.asarray(values, dtype=np.float64)
+    )
+
+
 def twist_stamped(t_ns: int, frame_id: str, twist: Any) -> Any:
     """geometry_msgs/TwistStamped from (6,) linear m/s, angular rad/s."""
     x, y, z, a, b, c = (float(v) for v in twist)

@@ -24,9 +24,16 @@ from dgeval.perception.types import Model, Tracked
 from dgeval.planning.carried import Belief
 from dgeval.planning.control import Control, Controller, Grasps, HandState
 from dgeval.planning.execution import PAPER_C_E
+from dgeval.planning.recorded_arm import RecordedArm
 from dgeval.planning.recorded_grasps import RecordedGrasps
 from dgeval.recording.choices import Numbers, RecordedChoices, in_base, logged_poses
-from dgeval.recording.contract import CLOSE_EVENT, EXECUTE_TOPIC, GRASP_TOPIC, SEED_TOPIC
+from dgeval.recording.contract import (
+    CANDIDATES_TOPIC,
+    CLOSE_EVENT,
+    EXECUTE_TOPIC,
+    GRASP_TOPIC,
+    SEED_TOPIC,
+)
 from dgeval.recording.frame import Frame
 from dgeval.recording.messages import StampedPose
 from dgeval.recording.robot import RobotStates
@@ -36,6 +43,7 @@ from dgeval.replay.target_search import FoundTarget
 from dgeval.robots.hand import KnownHand, hand_named
 
 if TYPE_CHECKING:
+    from dgeval.planning.proposals import Proposals
     from dgeval.planning.vfas.replayed import VfasGrasps, VfasResult
 
 DEFAULT_HAND = "dlr_hit_hand"  # its palm frame is used where no known hand is described
@@ -49,6 +57,7 @@ class Step:
 
     control: of the dynamic pipeline, at the frame's time; None with the other. periods: the control
     periods since the frame before. vfas: of the pipeline `vfas`; None before there is a seed.
+    candidates: new ones of this frame, if any.
     T_base_camera (4, 4): None where the pose of the camera is not known.
     """
 
@@ -59,6 +68,7 @@ class Step:
     control: Control | None
     periods: tuple[Control, ...]
     vfas: VfasResult | None
+    candidates: Proposals | None = None
 
     @property
     def tracked(self) -> Tracked:
@@ -165,46 +175,59 @@ def replay(
         perceived = perception.step(frame, T_base_camera, box, clock.lap)
         seen = perceived.observation
         vfas = None if planner is None else planner.step(frame, T_base_camera, seen)
-        control = None
+        control, drawn = None, None
         if controller is not None:
             if T_base_camera is not None:  # else the belief before is carried on
                 belief = _belief(frame, perceived, T_base_camera)
-                controller.see(frame.t_ns, frame.index, belief, perceived.model, T_base_camera)
+                drawn = controller.see(
+                    frame.t_ns, frame.index, belief, perceived.model, T_base_camera
+                )
             clock.lap("grasps")
             control = controller.at(HandState(frame.t_ns, frame.T_base_palm, T_base_camera))
         clock.lap("control")
-        yield Step(frame, T_base_camera, clock.seconds, perceived, control, tuple(periods), vfas)
+        yield Step(
+            frame, T_base_camera, clock.seconds, perceived, control, tuple(periods), vfas, drawn
+        )
 
 
-def grasp_source(robot: RobotStates, recorded: bool, config: GraspsConfig) -> str:
-    """`recorded`, `ffhnet` or `none`: what the setting `grasps.source` means for a trial.
+def grasp_source(robot: RobotStates, recorded: RecordedChoices, config: GraspsConfig) -> str:
+    """`recorded`, `candidates`, `ffhnet` or `none`: what the setting `grasps.source` means for a
+    trial.
 
-    recorded: whether its log holds grasps.
+    recorded: what its log holds.
     """
     if config.source != "auto":
         return config.source
-    if recorded:
+    if recorded.times:
         return "recorded"
+    if recorded.candidates:
+        return "candidates"
     known = isinstance(robot.hand, KnownHand) and robot.hand.grasp_network == "ffhnet"
     return "ffhnet" if known and robot.palm_frame is not None else "none"
 
 
 def _controller(trial: Trial, config: Config) -> Controller:
     recorded = trial.choices
-    source = grasp_source(trial.robot, bool(recorded.times), config.grasps)
+    source = grasp_source(trial.robot, recorded, config.grasps)
     grasps: Grasps | None = None
-    if source == "recorded" and not recorded.times:
+    needed = {"recorded": GRASP_TOPIC, "candidates": CANDIDATES_TOPIC}
+    found = {"recorded": bool(recorded.times), "candidates": bool(recorded.candidates)}
+    if not found.get(source, True):
         raise UsageError(
-            f"grasps.source = 'recorded', but in this trial {GRASP_TOPIC} is not recorded",
+            f"grasps.source = {source!r}, but in this trial {needed[source]} is not recorded",
             Place(str(trial.spec.recording)),
         )
     if source == "recorded":
         grasps = RecordedGrasps(recorded, config)
     elif source != "none":
         # imports torch, which takes longer than all other imports together
-        from dgeval.planning.model_grasps import ModelGrasps
+        from dgeval.planning.model_grasps import FFHNetProposals, ModelGrasps
+        from dgeval.planning.recorded_candidates import RecordedProposals
 
-        grasps = ModelGrasps(trial.robot, config)
+        arm = RecordedArm(trial.robot, config.sync.max_pose_gap_s)
+        of_robot = source == "candidates"
+        proposals = RecordedProposals(recorded) if of_robot else FFHNetProposals(config)
+        grasps = ModelGrasps(proposals, arm.reaches, config)
     if config.execution.decision == "recorded" and not recorded.decisions.times:
         raise UsageError(
             f"execution.decision = 'recorded', but {EXECUTE_TOPIC} is not recorded",
@@ -219,16 +242,21 @@ def closing_threshold(trial: Trial, config: Config) -> float | None:
 
     None where the robot's own decisions count, or nothing is scored.
     """
-    source = grasp_source(trial.robot, bool(trial.choices.times), config.grasps)
+    source = grasp_source(trial.robot, trial.choices, config.grasps)
     if config.pipeline == "vfas" or source == "none":
         return None
     if recorded_decisions(trial.choices, source, config) is not None:
         return None
-    if source == "recorded" and not trial.choices.hand_scores.times:
+    if source != "ffhnet" and not trial.choices.hand_scores.times:
         return None
+    return score_threshold(trial, config)
+
+
+def score_threshold(trial: Trial, config: Config) -> float:
+    """c_e of whatever scores the hand in a replay, without regard to the robot's own decisions."""
     if config.execution.c_e is not None:
         return config.execution.c_e
-    if source == "recorded":
+    if grasp_source(trial.robot, trial.choices, config.grasps) != "ffhnet":
         return PAPER_C_E
     from dgeval.planning.grasps import networks_of  # imports torch
 
@@ -293,7 +321,6 @@ def seed_of(trial: Trial) -> Array | None:
 def _planner(trial: Trial, config: Config) -> VfasGrasps | None:
     if config.pipeline != "vfas":
         return None
-    from dgeval.planning.recorded_arm import RecordedArm
     from dgeval.planning.vfas.gripper import gripper_of
     from dgeval.planning.vfas.replayed import VfasGrasps  # imports torch
 

@@ -1,7 +1,10 @@
 """Does this replay speak for the robot that was recorded? Its stages beside the robot's own values.
 
 Each stage is held against what the robot recorded of it, over the last second before the decisive
-instant and at that instant. Fewer than LEAST_VALUES recorded values there say nothing.
+instant and at that instant. Fewer than LEAST_VALUES recorded values there say nothing. Where the
+replay draws at random, what two of its seeds are apart is no difference from the robot
+(`fidelity.seeds`). A stage that is fed by others is also held against the robot's on the robot's
+own inputs (`OwnInputs`): there a difference is its own.
 """
 
 from __future__ import annotations
@@ -9,7 +12,8 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,24 +24,32 @@ from dgeval.geometry import (
     Array,
     invert,
     matrix_from_pose,
-    pose_from_matrix,
     rotation_angle,
     transform,
 )
 from dgeval.perception.types import Window
 from dgeval.planning.control import Control
-from dgeval.recording.contract import COMMAND_TOPIC, MASK_TOPIC, TARGET_TOPIC, VELOCITY_TOPIC
+from dgeval.recording.contract import (
+    COMMAND_TOPIC,
+    MASK_TOPIC,
+    TARGET_TOPIC,
+    VELOCITY_TOPIC,
+)
 from dgeval.recording.images import decode_image
-from dgeval.recording.messages import StampedPose
 from dgeval.recording.trials import Trial
-from dgeval.replay.causal import Step, grasp_source, recorded_decisions
+from dgeval.replay.causal import Step, grasp_source, recorded_decisions, replay
+from dgeval.replay.own_inputs import OwnInputs, pose_error, twist_error
+from dgeval.replay.replayed import Replayed
+from dgeval.replay.target_search import FoundTarget
 
 LAST_S, LEAST_VALUES = 1.0, 10
 MOST = 0.9  # quantile of the errors in the last second that must be within the bounds; ours
+ALONE_MOST = 0.95  # the same on the robot's own inputs, where nothing is drawn; ours
 NEAR_NS = 16_000_000  # ns; values of a frame that are stamped farther apart are none of it; ours
 PERIOD_NS = 11_000_000  # ns, likewise of control periods
-# m per rad, by which a turn counts in a twist; m/s, the least size that a twist is measured by
-ARM_M, LEAST_TWIST = 0.1, 0.02
+SAME = 0.05  # of a bound; a stage within that, on the robot's own inputs, is the robot's; ours
+MOST_LATE_S, LATE_STEP_S = 0.2, 0.005  # s, delays that are tried; ours
+LATE_GAIN = 0.5  # a delay is told where it takes this share off the error; ours
 DEGREES = 180.0 / np.pi
 
 
@@ -68,13 +80,29 @@ class Fidelity:
 
     n: recorded values in the last second. errors: the MOST quantile of each of BOUNDS[stage] in it,
     or that at the instant if it is larger; none where the replay has nothing beside most of them.
-    is_faithful: None where too little is recorded to say.
+    is_faithful: None where too little is recorded to say, or two seeds of the replay are as far
+    apart. agreement: share of the values that are within the bounds. late_s: by which the replay is
+    later than the robot; 0 where no delay explains the error. spread: as errors, of other seeds of
+    the replay beside it. alone: on the robot's own inputs, the ALONE_MOST quantile of the errors;
+    none where they aren't recorded, or of a stage that isn't held so.
     """
 
     stage: str
     n: int
     errors: tuple[float, ...] = ()
     is_faithful: bool | None = None
+    agreement: float | None = None
+    late_s: float = 0.0
+    spread: tuple[float, ...] = ()
+    alone: tuple[float, ...] = ()
+
+    @property
+    def is_same(self) -> bool | None:
+        """Whether the stage makes of the robot's own inputs what the robot did; None if unknown."""
+        if not self.alone:
+            return None
+        bounds = BOUNDS[self.stage]
+        return all(e <= SAME * b.most for e, b in zip(self.alone, bounds, strict=True))
 
     @property
     def word(self) -> str:
@@ -84,49 +112,31 @@ class Fidelity:
     @property
     def told(self) -> str:
         """For the notes."""
-        if self.is_faithful is None:
+        if self.is_faithful is None and not self.spread:
             return f"{self.stage} not known ({self.n} recorded values)"
         if not self.errors:
             return f"{self.stage}: the replay has none in most of {self.n} ({self.word})"
-        if self.stage == "decision" and not np.isfinite(self.errors).all():
-            return f"{self.stage}: one of the two never closes ({self.word})"
+        more = [self.word]
+        if self.late_s:
+            side = "later" if self.late_s > 0 else "earlier"
+            more.append(f"as {side} by {abs(self.late_s) * 1e3:.0f} ms")
+        if self.spread and not self.is_faithful:
+            as_far = " as" if self.is_faithful is None else ""
+            more.append(f"seeds of the replay are{as_far} {self._values(self.spread)} apart")
+        if self.alone:
+            same = "the same" if self.is_same else f"{self._values(self.alone)} apart"
+            more.append(f"on the robot's own inputs {same}")
+        sign = "" if np.isfinite(self.errors).all() else ":"
+        return f"{self.stage}{sign} {self._values(self.errors)} ({'; '.join(more)})"
+
+    def _values(self, errors: Sequence[float]) -> str:
+        """Errors in words."""
+        if not np.isfinite(errors).all():
+            return "one of the two never closes"
         bounds = BOUNDS[self.stage]
-        values = ", ".join(
-            f"{error * b.factor:.2g}{b.unit}" for error, b in zip(self.errors, bounds, strict=True)
+        return ", ".join(
+            f"{_rounded(error * b.factor)}{b.unit}" for error, b in zip(errors, bounds, strict=True)
         )
-        return f"{self.stage} {values} ({self.word})"
-
-
-@dataclass
-class Replayed:
-    """What the replay itself believed and chose, as a robot would have recorded it.
-
-    targets: T_camera_model, in each frame; seen_ns: times of those that were accepted. velocities:
-    (t_ns, twist (6,)), base frame. grasps: T_base_palm chosen, in each control period. model: its
-    last points (n, 3) m, model frame.
-    """
-
-    targets: list[StampedPose] = field(default_factory=list)
-    seen_ns: list[int] = field(default_factory=list)
-    velocities: list[tuple[int, Array]] = field(default_factory=list)
-    grasps: list[StampedPose] = field(default_factory=list)
-    model: Array | None = None
-
-    def add(self, step: Step) -> None:
-        t_ns, estimate = step.frame.t_ns, step.perceived.estimate
-        if step.T_camera_model is not None:
-            self.targets.append(StampedPose(t_ns, "", "", pose_from_matrix(step.T_camera_model)))
-        if step.accepted:
-            self.seen_ns.append(t_ns)
-        if step.model is not None:
-            self.model = step.model.points
-        if estimate is not None:
-            self.velocities.append((t_ns, np.append(estimate.velocity, np.zeros(3))))
-        for control in step.periods:
-            choice = None if control.grasps is None else control.grasps.choice
-            if choice is not None:
-                pose = pose_from_matrix(choice.T_base_palm)
-                self.grasps.append(StampedPose(control.t_ns, "", "", pose))
 
 
 class Compared:
@@ -139,11 +149,15 @@ class Compared:
         self._velocities = _in_order(scan.twists.get(VELOCITY_TOPIC, []))
         self._commands = _in_order(scan.twists.get(COMMAND_TOPIC, []))
         self._choices = trial.choices
-        source = grasp_source(trial.robot, bool(self._choices.times), config.grasps)
-        self._chooses = source == "ffhnet" and config.pipeline != "vfas"
+        source = grasp_source(trial.robot, self._choices, config.grasps)
+        self._chooses = source in ("ffhnet", "candidates") and config.pipeline != "vfas"
         own = recorded_decisions(self._choices, source, config)
         self._decides = own is None and config.pipeline != "vfas"
         self._errors: dict[str, list[tuple[int, tuple[float, ...]]]] = defaultdict(list)
+        # of stages whose delay is looked for: times ns, ours and theirs there (k,)
+        self._ours: dict[str, list[tuple[int, Array]]] = defaultdict(list)
+        self._theirs: dict[str, list[tuple[int, Array]]] = defaultdict(list)
+        self._alone = OwnInputs(trial, config)
         self._masks: list[tuple[int, Window, tuple[int, ...], NDArray[np.uint8]]] = []
         # T_camera_model (4, 4) of both in the first frame in which the target was seen by both
         self._first: tuple[Array, Array] | None = None
@@ -154,30 +168,37 @@ class Compared:
         """One frame, with the control periods before it."""
         self.own.add(step)
         t_ns = step.frame.t_ns
-        self._add_target(step)
+        for control, alone in zip_longest(step.periods, self._alone.periods(step)):
+            self._add_period(control, alone)
+        T_by_them = self._add_target(step)
         velocity = _nearest(*self._velocities, t_ns, NEAR_NS)
         estimate = step.perceived.estimate
         if velocity is not None and estimate is not None:
             apart = float(np.linalg.norm(estimate.velocity - velocity[:3]))
             self._errors["velocity"].append((t_ns, (apart,)))
+            self._beside("velocity", t_ns, estimate.velocity, velocity[:3])
+        self._alone.add(step, T_by_them, None if velocity is None else velocity[:3])
         mask, window = step.tracked.mask, step.tracked.window
         # the robot's masks are of its own pictures, not of those that the lens was taken out of
         trial = self._trial
         comparable = MASK_TOPIC in trial.scan.times and trial.reader.camera.lens is None
         if mask is not None and window is not None and comparable:
             self._masks.append((t_ns, window, mask.shape, np.packbits(mask)))
-        for control in step.periods:
-            self._add_period(control)
 
-    def _add_target(self, step: Step) -> None:
+    def _beside(self, stage: str, t_ns: int, ours: Array, theirs: Array) -> None:
+        self._ours[stage].append((t_ns, ours))
+        self._theirs[stage].append((t_ns, theirs))
+
+    def _add_target(self, step: Step) -> Array | None:
+        """T_camera_model (4, 4) by the robot, in the axes of the replay's model; None without."""
         recorded = _nearest(*self._targets, step.frame.t_ns, NEAR_NS)
         ours, model = step.T_camera_model, step.model
         if recorded is None or ours is None or model is None:
-            return
+            return None
         theirs = matrix_from_pose(recorded)
         if self._first is None:
             if not step.accepted:
-                return
+                return None
             self._first = ours, theirs
         # their model has axes of its own: what both have done since the first frame is compared
         T_by_them = theirs @ invert(self._first[1]) @ self._first[0]
@@ -187,15 +208,21 @@ class Compared:
         self._errors["target"].append(
             (step.frame.t_ns, (float(np.linalg.norm(apart)), float(turn)))
         )
+        T_base_camera = step.T_base_camera
+        if T_base_camera is not None:
+            own, their = (transform(T_base_camera @ T, centre)[0] for T in (ours, T_by_them))
+            self._beside("target", step.frame.t_ns, own, their)
+        return T_by_them
 
-    def _add_period(self, control: Control) -> None:
+    def _add_period(self, control: Control, alone: Control | None) -> None:
+        """alone: the period on the robot's own inputs; None where it recorded too little."""
         t_ns = control.t_ns
         command = _nearest(*self._commands, t_ns, PERIOD_NS)
         if command is not None and control.command is not None:
-            scale = np.array([1.0] * 3 + [ARM_M] * 3)
-            apart = float(np.linalg.norm((control.command.twist - command) * scale))
-            size = max(float(np.linalg.norm(command * scale)), LEAST_TWIST)
-            self._errors["twist"].append((t_ns, (apart / size,)))
+            self._errors["twist"].append((t_ns, (twist_error(control, command),)))
+            self._beside("twist", t_ns, control.command.twist[:3], command[:3])
+        if command is not None and alone is not None:
+            self._alone.add_twist(alone, command)
         if self._decides and control.execute and self._decided_ns is None:
             self._decided_ns = t_ns
         if not self._chooses or control.grasps is None or control.grasps.choice is None:
@@ -203,14 +230,18 @@ class Compared:
         choice, recorded = control.grasps.choice, self._choices
         grasp, score = recorded.grasp_at(t_ns), recorded.hand_scores.at(t_ns)
         if grasp is not None:
-            metres = float(np.linalg.norm(choice.T_base_palm[:3, 3] - grasp[:3, 3]))
-            turn = rotation_angle(choice.T_base_palm[:3, :3].T @ grasp[:3, :3])
-            self._errors["grasp"].append((t_ns, (metres, float(turn))))
+            self._errors["grasp"].append((t_ns, pose_error(choice.T_base_palm, grasp)))
+            self._beside("grasp", t_ns, choice.T_base_palm[:3, 3], grasp[:3, 3])
         if score is not None and choice.hand_score is not None:
             self._errors["score"].append((t_ns, (abs(choice.hand_score - score),)))
 
-    def until(self, t_ns: int) -> tuple[Fidelity, ...]:
-        """The stages of which the robot recorded something, at the decisive instant t_ns."""
+    def until(
+        self, t_ns: int, spread: Mapping[str, tuple[float, ...]] | None = None
+    ) -> tuple[Fidelity, ...]:
+        """The stages of which the robot recorded something, at the decisive instant t_ns.
+
+        spread: of the replay's seeds, as `spread_of` found it.
+        """
         self._errors["mask"] = self._mask_errors(t_ns)
         theirs = {
             "target": self._targets[0],
@@ -223,7 +254,26 @@ class Compared:
             if stage != "decision" and (self._errors[stage] or theirs.get(stage))
         ]
         decided = self._decision(t_ns)
-        return (*out, decided) if decided is not None else tuple(out)
+        listed = [*out, *([decided] if decided is not None else [])]
+        completed = [self._completed(one, t_ns) for one in listed]
+        return tuple(_beside_seeds(one, (spread or {}).get(one.stage, ())) for one in completed)
+
+    def _completed(self, one: Fidelity, t_ns: int) -> Fidelity:
+        """With its delay, and its errors on the robot's own inputs."""
+        since = t_ns - round(LAST_S * 1e9)
+        ours, theirs = (
+            [v for v in series[one.stage] if since <= v[0] <= t_ns]
+            for series in (self._ours, self._theirs)
+        )
+        late_s = _delay(ours, theirs, SAME * BOUNDS[one.stage][0].most)
+        alone: tuple[float, ...] = ()
+        if one.stage in self._alone.errors:
+            last = [e for t, e in self._alone.errors[one.stage] if since <= t <= t_ns]
+            if len(last) >= LEAST_VALUES:
+                alone = tuple(np.quantile(np.array(last), ALONE_MOST, axis=0).tolist())
+        if one.stage == "decision" and self._alone.decides and one.n >= LEAST_VALUES:
+            alone = (_apart_s(self._alone.decided_ns, self._their_decision()),)
+        return replace(one, late_s=late_s, alone=alone)
 
     def speaks(self, t_ns: int) -> bool:
         """Whether the replay's own beliefs up to t_ns may stand for the robot's.
@@ -242,16 +292,15 @@ class Compared:
         if not self._decides or not decisions.times:
             return None
         n = sum(t_ns - LAST_S * 1e9 <= t <= t_ns for t in decisions.times)
-        theirs = next(
-            (t for t, v in zip(decisions.times, decisions.values, strict=True) if v), None
-        )
         if n < LEAST_VALUES:
             return Fidelity("decision", n)
-        if theirs is None or self._decided_ns is None:
-            agree = theirs is None and self._decided_ns is None
-            return Fidelity("decision", n, (0.0 if agree else np.inf,), agree)
-        late = abs(self._decided_ns - theirs) * 1e-9
+        late = _apart_s(self._decided_ns, self._their_decision())
         return Fidelity("decision", n, (late,), late <= BOUNDS["decision"][0].most)
+
+    def _their_decision(self) -> int | None:
+        """When the robot decided to close, ns."""
+        decisions = self._choices.decisions
+        return next((t for t, v in zip(decisions.times, decisions.values, strict=True) if v), None)
 
     def _mask_errors(self, t_ns: int) -> list[tuple[int, tuple[float, ...]]]:
         """1 - IoU of the masks in the last second."""
@@ -267,6 +316,30 @@ class Compared:
                 own = np.unpackbits(packed, count=int(np.prod(shape))).reshape(shape) > 0
                 out.append((t, (1.0 - _shared(own, window, mask > 0),)))
         return out
+
+
+def spread_of(
+    trial: Trial, config: Config, own: Replayed, t_ns: int, target: FoundTarget | None = None
+) -> dict[str, tuple[float, ...]]:
+    """How far other seeds of a replay are from it, of each stage, as `Fidelity.errors`.
+
+    own: the replay. t_ns: the decisive instant. target: as `search_target` found it. One more
+    replay for each of `fidelity.seeds`.
+    """
+    robot = own.as_robot(trial)
+    source = grasp_source(trial.robot, trial.choices, config.grasps)
+    out: dict[str, tuple[float, ...]] = {}
+    for k in range(config.fidelity.seeds):
+        grasps = config.grasps.model_copy(update={"source": source})
+        other = config.model_copy(update={"seed": config.seed + k + 1, "grasps": grasps})
+        compared = Compared(robot, other)
+        for step in replay(trial, other, target=target):
+            compared.add(step)
+        for one in compared.until(t_ns):
+            if one.errors:
+                before = out.get(one.stage, one.errors)
+                out[one.stage] = tuple(map(max, before, one.errors))
+    return out
 
 
 def fidelity_notes(stages: Sequence[Fidelity]) -> list[str]:
@@ -290,8 +363,56 @@ def _fidelity(
     if len(last) < LEAST_VALUES:
         return Fidelity(stage, max(len(last), theirs))
     worst = np.maximum(np.quantile(np.array(last), MOST, axis=0), last[-1])
-    faithful = all(e <= b.most for e, b in zip(worst.tolist(), BOUNDS[stage], strict=True))
-    return Fidelity(stage, len(last), tuple(worst.tolist()), faithful)
+    most = np.array([b.most for b in BOUNDS[stage]])
+    agreement = float((np.array(last) <= most).all(axis=1).mean())
+    faithful = bool((worst <= most).all())
+    return Fidelity(stage, len(last), tuple(worst.tolist()), faithful, agreement)
+
+
+def _beside_seeds(one: Fidelity, spread: tuple[float, ...]) -> Fidelity:
+    """With the spread of the replay's seeds; where that is as far apart, nothing is known."""
+    if not spread or not one.errors:
+        return one
+    bounds = BOUNDS[one.stage]
+    excused = all(e <= max(b.most, s) for e, b, s in zip(one.errors, bounds, spread, strict=True))
+    is_faithful = None if one.is_faithful is False and excused else one.is_faithful
+    return replace(one, spread=spread, is_faithful=is_faithful)
+
+
+def _rounded(value: float) -> str:
+    """Two digits, without an exponent."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+
+
+def _apart_s(ours_ns: int | None, theirs_ns: int | None) -> float:
+    """How far two decisions are apart, s; 0 where neither closes, infinite where one does."""
+    if ours_ns is None or theirs_ns is None:
+        return 0.0 if ours_ns is None and theirs_ns is None else np.inf
+    return abs(ours_ns - theirs_ns) * 1e-9
+
+
+def _delay(
+    ours: Sequence[tuple[int, Array]], theirs: Sequence[tuple[int, Array]], least: float
+) -> float:
+    """By how much ours are later, s, where that explains an error above `least`; else 0."""
+    if len(ours) < LEAST_VALUES:
+        return 0.0
+    t = np.array([t for t, _ in theirs], float) * 1e-9
+    values, own = np.array([v for _, v in theirs]), np.array([v for _, v in ours])
+
+    def apart(late_s: float) -> float:
+        at = t - late_s
+        inside = (at >= t[0]) & (at <= t[-1])
+        then = np.column_stack([np.interp(at[inside], t, column) for column in values.T])
+        return float(np.linalg.norm(own[inside] - then, axis=1).mean())
+
+    none = apart(0.0)
+    steps = round(MOST_LATE_S / LATE_STEP_S)
+    lates = [k * LATE_STEP_S for k in range(-steps, steps + 1) if t[-1] - t[0] > 2 * MOST_LATE_S]
+    if none <= least or not lates:
+        return 0.0
+    best = min(lates, key=lambda late_s: (apart(late_s), abs(late_s)))
+    return best if apart(best) <= LATE_GAIN * none else 0.0
 
 
 def _in_order(listed: Sequence[tuple[int, Array]]) -> tuple[list[int], list[Array]]:

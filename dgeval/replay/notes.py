@@ -95,17 +95,22 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
         notes += departure_note(config, ("vfas",))
         notes += vfas_notes(config, seed_of(trial) is not None, trial.robot.hand)
         return notes + contact_notes(trial, config, counts)
-    source = grasp_source(trial.robot, bool(trial.choices.times), config.grasps)
-    chosen = CHOICE if source == "ffhnet" else ()
+    source = grasp_source(trial.robot, trial.choices, config.grasps)
+    chosen = CHOICE if source in ("ffhnet", "candidates") else ()
     notes += departure_note(config, (*PERCEPTION, *chosen, *CONTROL))
     if source == "recorded":
         notes.append("stand-in: the recorded grasp in place of FFHNet; hand_score as recorded")
-    elif source == "ffhnet":
+    elif source in ("ffhnet", "candidates"):
         from dgeval.planning.recorded_arm import recorded_arm
 
         if isinstance(arm := recorded_arm(trial.robot), str):
             notes.append(f"no grasp was refused for the arm's reach, which is not known: {arm}")
-        notes += ffhnet_notes(config)
+        if source == "ffhnet":
+            notes += ffhnet_notes(config)
+        else:
+            notes.append(
+                "stand-in: the recorded candidates in place of FFHNet's; hand_score as recorded"
+            )
         if counts.no_grasp:
             from dgeval.planning.grasps import MOST_TRIED  # imports torch
 

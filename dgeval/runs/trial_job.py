@@ -30,7 +30,7 @@ from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
 from dgeval.replay.causal import Step, closing_threshold, replay
-from dgeval.replay.fidelity import Compared, Fidelity, fidelity_notes
+from dgeval.replay.fidelity import Compared, Fidelity, fidelity_notes, spread_of
 from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
 from dgeval.replay.row import pose_columns
 from dgeval.replay.target_search import FoundTarget, search_target
@@ -242,6 +242,12 @@ def _replay_trial(
     if model is not None:
         write_ply(out / "models" / f"{name}.ply", model.points, model.normals)
 
+    decisive_ns = judgement.decisive_ns or close_ns or last_ns
+    fidelity = compared.until(decisive_ns)
+    if config.fidelity.seeds and any(one.is_faithful is False for one in fidelity):
+        spread = spread_of(trial, config, compared.own, decisive_ns, target)
+        fidelity = compared.until(decisive_ns, spread)
+
     chosen_score = None
     if chosen is not None and t_execute_ns is not None and hindsight is not None:
         chosen_score = hindsight_score(*chosen, t_execute_ns, hindsight, config.grasps)
@@ -256,7 +262,7 @@ def _replay_trial(
         seen,
         estimates,
         (perception.noise.told(),),
-        compared.until(judgement.decisive_ns or close_ns or last_ns),
+        fidelity,
         chosen_score,
     )
     row.update({f"digest_{stage}": value for stage, value in digests.hexdigests().items()})

@@ -16,8 +16,11 @@ import numpy as np
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, transform
 from dgeval.paper_values import CHOICE, CONTROL, departure_note
+from dgeval.planning.proposals import Proposals
 from dgeval.recording.contract import (
     ACCEPTED_TOPIC,
+    CANDIDATE_SCORES_TOPIC,
+    CANDIDATES_TOPIC,
     CLOSE_EVENT,
     COMMAND_TOPIC,
     EVENT_KEY,
@@ -50,8 +53,10 @@ from dgeval.recording.write import (
     joint_state,
     jpeg_file_message,
     message,
+    numbers,
     open_writer,
     png_message,
+    pose_array,
     pose_stamped,
     text,
     twist_stamped,
@@ -129,6 +134,7 @@ def write_recording(
     camera = renderer.cameras[0].intrinsics
     by_tick = {f.tick: f for f in run.frames}
     first: Array | None = None
+    candidates: Proposals | None = None  # the last ones that were written
     with open_writer(path) as writer:
 
         def put(topic: str, t_ns: int, value: Any) -> None:
@@ -189,6 +195,10 @@ def write_recording(
                 )
             accepted = message("std_msgs/Bool", data=belief.accepted)
             put(ACCEPTED_TOPIC, t_ns, accepted)
+            if belief.proposals is not None and belief.proposals is not candidates:
+                candidates = belief.proposals
+                for topic, value in _candidates(belief, t_ns):
+                    put(topic, t_ns, value)
             if cloud is not None:
                 put(MODEL_TOPIC, t_ns, cloud_message(t_ns, CAMERA_FRAME, cloud))
             if belief.velocity is not None:
@@ -297,6 +307,19 @@ def _states(run: Run, twin: Array, world: World) -> Iterator[tuple[int, list[tup
             out.append((TRUTH_CONTACTS_TOPIC, text(json.dumps(now))))
         touching = tick.contact or tick.foreign
         yield k, out
+
+
+def _candidates(belief: FrameBelief, t_ns: int) -> list[tuple[str, Any]]:
+    """The grasps of a frame that were not found touching or out of reach, and their scores."""
+    proposals, T_base_object = belief.proposals, belief.T_base_object
+    assert proposals is not None
+    assert T_base_object is not None
+    rows = proposals.eligible
+    poses = T_base_object @ proposals.T_object_palm[rows]
+    return [
+        (CANDIDATES_TOPIC, pose_array(t_ns, BASE, poses)),
+        (CANDIDATE_SCORES_TOPIC, numbers(proposals.scores[rows])),
+    ]
 
 
 def _choice(tick: Tick, t_ns: int, drives: tuple[str, ...]) -> list[tuple[str, Any]]:

@@ -62,7 +62,7 @@ class FrameBelief:
     """A camera frame: its number (dropped ones count), control period, and acceptance.
 
     accepted: whether its registration was. T_base_object: believed then, predicted where not
-    accepted. velocity: the filter's estimate, m/s.
+    accepted. velocity: the filter's estimate, m/s. proposals: grasps drawn for it, if any.
     """
 
     index: int
@@ -70,6 +70,7 @@ class FrameBelief:
     accepted: bool
     T_base_object: Array | None
     velocity: Array | None
+    proposals: Proposals | None = None
 
 
 @dataclass
@@ -133,13 +134,14 @@ def run_trial(
                 seen, T = T_perceived is not None, T_perceived
                 if T is None and believed is not None and velocity is not None:
                     T = replace(believed, velocity=velocity).at(t_ns)
-                run.frames.append(FrameBelief(n_frame, tick, seen, T, velocity))
+                proposals = None
                 if T is not None and velocity is not None:
                     believed = Belief(t_ns, T, velocity, seen)
                     proposals = grasps.propose(
                         n_frame, perceived, T, world.T_base_hand() @ hand.T_hand_camera, kept
                     )
                     arriving.step(t_ns, (believed, proposals))
+                run.frames.append(FrameBelief(n_frame, tick, seen, T, velocity, proposals))
             n_frame += 1
         newest = arriving.at(t_ns)
         snapshot = world.save()

@@ -25,7 +25,7 @@ from dgeval.recording.contract import (
 from dgeval.recording.messages import JointSample, StampedPose, cloud_points
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.trials import Trial
-from dgeval.replay.fidelity import Replayed
+from dgeval.replay.replayed import Replayed
 from dgeval.verdict.recorded_closing import Closing
 
 MIN_MODEL_POINTS = 20  # fewer points of the robot's own model say nothing of where the object is

@@ -41,7 +41,6 @@ from dgeval.planning.grasps import (
     propose,
 )
 from dgeval.planning.hand_overlap import standing_points
-from dgeval.planning.model_grasps import ModelGrasps
 from dgeval.planning.reachability import Arm, arm_of
 from dgeval.planning.recorded_arm import RecordedArm, recorded_arm
 from dgeval.recording.messages import JointSample
@@ -531,10 +530,10 @@ def test_an_arm_that_stands_in_a_world_is_asked_in_its_own_frame() -> None:
         description=description, base_frame="world", palm_frame=palm, tree=tree, joints=track
     )
     assert recorded_arm(robot) == arm
-    grasps = ModelGrasps(robot, Config())
+    reaches = RecordedArm(robot, 0.5).reaches
     near = arm.palm(HOME)[0]
-    assert grasps._reaches(invert(turned) @ near)
-    assert not grasps._reaches(near)
+    assert reaches(0, invert(turned) @ near)
+    assert not reaches(0, near)
     now = RecordedArm(robot, 0.5).at(0)
     assert now is not None
     assert now.room(near) is None

@@ -13,8 +13,9 @@ from dgeval.perception.types import Model
 from dgeval.planning import model_grasps
 from dgeval.planning.carried import Belief
 from dgeval.planning.control import Controller, HandState
-from dgeval.planning.model_grasps import ModelGrasps
+from dgeval.planning.model_grasps import FFHNetProposals, ModelGrasps
 from dgeval.planning.proposals import Proposals
+from dgeval.planning.recorded_arm import RecordedArm
 from dgeval.planning.recorded_grasps import RecordedGrasps
 from dgeval.recording.choices import Numbers, RecordedChoices
 from dgeval.recording.robot import JointTrack, RobotStates
@@ -67,12 +68,18 @@ def belief(t_ns: int, velocity: float, seen: bool) -> Belief:
     return Belief(t_ns, at(y=y), np.array([0, velocity, 0]), seen)
 
 
+def ffhnet_grasps(config: Config) -> ModelGrasps:
+    """Grasps for a robot of which nothing is known."""
+    arm = RecordedArm(robot(), config.sync.max_pose_gap_s)
+    return ModelGrasps(FFHNetProposals(config), arm.reaches, config)
+
+
 def run_blind(config: Config, velocity: float, palm_x: float) -> tuple[Controller, list[Any]]:
     """One frame with the target, then half a second of frames without it, states at 100 Hz.
 
     palm_x: where the hand is from the first lost frame on, m.
     """
-    controller = Controller(ModelGrasps(robot(), config), HAND, config)
+    controller = Controller(ffhnet_grasps(config), HAND, config)
     controller.see(0, 0, belief(0, velocity, True), MODEL, np.eye(4))
     out = controller.run([HandState(0, at(-0.3), np.eye(4))])
     for k in range(1, 16):
@@ -118,7 +125,7 @@ def test_what_was_chosen_stays_chosen_while_the_target_is_not_seen(
 def test_a_stated_latency_is_made_up_for(two_grasps: list[float]) -> None:
     """Fails where a late result is used as if it were of now: 20 mm behind at 0.2 m/s."""
     config = load_config("dynamic", ("schedule.perception_latency_s=0.1",))
-    controller = Controller(ModelGrasps(robot(), config), HAND, config)
+    controller = Controller(ffhnet_grasps(config), HAND, config)
     controller.see(0, 0, belief(0, 0.2, True), MODEL, np.eye(4))
     early, usable = controller.run(
         [HandState(t, at(-0.3), np.eye(4)) for t in (90_000_000, 100_000_000)]
@@ -133,7 +140,7 @@ def test_a_stated_latency_is_made_up_for(two_grasps: list[float]) -> None:
 def test_the_hand_is_scored_where_it_is_on_the_target(two_grasps: list[float]) -> None:
     """Fails where the hand's score is of another state of a batch, or of a target left behind."""
     config = load_config("dynamic")
-    controller = Controller(ModelGrasps(robot(), config), HAND, config)
+    controller = Controller(ffhnet_grasps(config), HAND, config)
     controller.see(0, 0, belief(0, 0.2, True), MODEL, np.eye(4))
     stamps = (0, 100_000_000, 200_000_000)
     hands = [at(-0.1 - 0.1 * k, 0.02 * k, 0.05) for k in range(3)]  # with the target along y

@@ -74,6 +74,7 @@ def checks_of(
         times={"/c": TopicTimes(stamps, stamps), "/d": TopicTimes(stamps, stamps)},
         opened=SimpleNamespace(topics={}),
         poses={},
+        candidates=[],
         recorder_clock=None,
         images={"/d": ImageHead("16UC1", 4, 4, "c", "")},
         events=[],

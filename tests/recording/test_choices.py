@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dgeval import api
 from dgeval.geometry import invert, pose_from_matrix, transform
 from dgeval.recording.choices import in_base, logged_poses, unplaced
+from dgeval.recording.contract import CANDIDATE_SCORES_TOPIC, CANDIDATES_TOPIC
 from dgeval.recording.messages import StampedPose
 from dgeval.replay.causal import recorded_seed, seed_of
 from tests.recording.recorders import TYPES, Message, names, opened, write
@@ -78,6 +80,79 @@ def test_a_pose_in_the_cameras_frame_is_brought_to_the_base(
         np.testing.assert_allclose(transform(invert(at), seed[None, :3, 3])[0], T[:3, 3])
         unknown = StampedPose(first.t_ns, "planner_world", "", first.pose)
         assert recorded_seed([(unknown, 0)], first.t_ns, first.t_ns, trial.robot) is None
+
+
+def offered(messages: list[Message], frame: str, places: list[np.ndarray]) -> list[Message]:
+    """The messages with candidates at places (4, 4) beside each camera_info, the last one best.
+
+    Every second message of scores has one too few.
+    """
+    out = [m for m in messages if m[1] not in (GRASP, SEED)]
+    infos = [m for m in messages if m[1].endswith("camera_info")]
+    for k, (log_ns, _, _, info) in enumerate(infos):
+        header = copy.deepcopy(info.header)
+        header.frame_id = frame
+        poses = []
+        for place in places:
+            x, y, z, qx, qy, qz, qw = pose_from_matrix(place).tolist()
+            poses.append(
+                TYPES["geometry_msgs/msg/Pose"](
+                    position=TYPES["geometry_msgs/msg/Point"](x=x, y=y, z=z),
+                    orientation=TYPES["geometry_msgs/msg/Quaternion"](x=qx, y=qy, z=qz, w=qw),
+                )
+            )
+        array: Any = TYPES["geometry_msgs/msg/PoseArray"](header=header, poses=poses)
+        layout = TYPES["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+        scores = np.linspace(0.5, 0.502, len(places))[k % 2 :]
+        numbers: Any = TYPES["std_msgs/msg/Float64MultiArray"](layout=layout, data=scores)
+        out.append([log_ns, CANDIDATES_TOPIC, "geometry_msgs/msg/PoseArray", array])
+        out.append(
+            [log_ns + 1000, CANDIDATE_SCORES_TOPIC, "std_msgs/msg/Float64MultiArray", numbers]
+        )
+    return out
+
+
+def test_a_robots_own_candidates_are_what_is_chosen_from(
+    messages: list[Message], tmp_path: Path
+) -> None:
+    """Catches candidates left in the camera's frame, scores of another set, and a choice by FFHNet
+    or by the score alone where the robot's candidates are there.
+    """
+    plain = opened(write(tmp_path / "p.mcap", messages))
+    camera, t_ns = plain.robot.camera_frame, plain.pairs[20].t_ns
+    T_base_camera, T_base_palm = plain.robot.T_base_camera(t_ns), plain.robot.T_base_palm(t_ns)
+    assert T_base_camera is not None
+    assert T_base_palm is not None
+    near = invert(T_base_camera) @ T_base_palm  # where the hand is, which the arm reaches
+    far = near.copy()
+    far[0, 3] += 0.05  # 0.005 of the metric, where the scores differ by 0.002
+    trial = opened(write(tmp_path / "a.mcap", offered(messages, camera, [near, far])))
+    assert names(trial) == []
+    sets = trial.choices.candidates
+    frames = [pair.t_ns for pair in trial.pairs]
+    assert [one.t_ns for one in sets] == frames[::2]
+    at = trial.robot.T_base_camera(sets[3].t_ns)
+    assert at is not None
+    np.testing.assert_allclose(sets[3].T_base_palm, at @ np.array([near, far]), atol=1e-12)
+    np.testing.assert_allclose(sets[3].scores, [0.5, 0.502])
+    steps = [s for s in api.replay_trial(trial) if s.control is not None and s.accepted]
+    chosen = [s for s in steps if s.frame.t_ns in frames[::2] and s.control.grasps is not None]
+    in_reach = [s for s in chosen if s.control.grasps.choice is not None]  # type: ignore[union-attr]
+    assert len(in_reach) > 3
+    for step in in_reach:
+        choice = step.control.grasps.choice  # type: ignore[union-attr]
+        assert choice is not None
+        assert step.T_base_camera is not None
+        np.testing.assert_allclose(choice.T_base_palm, step.T_base_camera @ near, atol=1e-9)
+        assert (choice.score, choice.joints) == (0.5, None)
+
+
+def test_candidates_that_nothing_places_are_told(messages: list[Message], tmp_path: Path) -> None:
+    listed = offered(messages, "planner_world", [T, T])
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert names(trial) == ["choices"]
+    assert CANDIDATES_TOPIC in trial.checks[0].what
+    assert trial.choices.candidates == ()
 
 
 def test_a_grasp_holds_in_its_frame_as_it_was_at_its_stamp(

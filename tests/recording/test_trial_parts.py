@@ -127,6 +127,8 @@ def test_a_grasp_has_the_newest_score_by_then() -> None:
     at = [3_000_000_000, 1_000_000_000, 500]
     scan: Any = SimpleNamespace(
         poses={"/dgeval/belief/grasp": [StampedPose(t, "base", "", pose) for t in at]},
+        candidates=[],
+        candidate_scores=[],
         numbers={"/dgeval/belief/score": [(1_000_900_000, 0.2), (1_002_000_000, 0.9)]},
         times={},
         recorder_clock=None,
@@ -214,6 +216,8 @@ def test_a_choice_of_another_trial_or_clock_is_none_of_this_one() -> None:
         scan: Any = SimpleNamespace(
             poses={"/dgeval/belief/grasp": [StampedPose(t, "base", "", pose) for t in stamps]},
             times={"/dgeval/belief/grasp": SimpleNamespace(log_ns=logged)},
+            candidates=[],
+            candidate_scores=[],
             numbers={"/dgeval/belief/execute": [(80 * second, 1.0), (101 * second, 0.0)]},
             recorder_clock=None,
         )

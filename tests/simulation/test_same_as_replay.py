@@ -11,7 +11,8 @@ from dgeval.geometry import invert, transform
 from dgeval.perception.types import Model
 from dgeval.planning.carried import Belief
 from dgeval.planning.control import Controller, HandState
-from dgeval.planning.model_grasps import ModelGrasps
+from dgeval.planning.model_grasps import FFHNetProposals, ModelGrasps
+from dgeval.planning.recorded_arm import RecordedArm
 from dgeval.recording.messages import JointSample
 from dgeval.recording.robot import JointTrack, RobotStates
 from dgeval.recording.transforms import TransformTree
@@ -64,7 +65,9 @@ def test_simulator_and_replay_choose_and_command_the_same() -> None:
         load_description(text, "the arm", (), 0.01), (), JointTrack.of(set_points, 0), (),
     )  # fmt: skip
     config = scenario.pipeline.model_copy(update={"seed": plan.seed})
-    controller = Controller(ModelGrasps(robot, config), hand, config)
+    reaches = RecordedArm(robot, config.sync.max_pose_gap_s).reaches
+    grasps = ModelGrasps(FFHNetProposals(config), reaches, config)
+    controller = Controller(grasps, hand, config)
     frames = {frame.tick: frame for frame in run.frames}
     model: Model | None = None
     compared = 0
