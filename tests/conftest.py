@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ DEMO = ROOT / "datasets" / "demo.mcap"
 
 import dgeval.worlds  # noqa: E402  (chooses how images are drawn; a test module may import mujoco first)
 from dgeval.determinism import set_thread_variables  # noqa: E402
+from tests.commands import Commands  # noqa: E402
 
 set_thread_variables()
 
@@ -34,14 +34,11 @@ def real_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def dgeval() -> Callable[..., subprocess.CompletedProcess[str]]:
+def dgeval() -> Iterator[Callable[..., subprocess.CompletedProcess[str]]]:
     """Run the command line in a process of its own."""
-
-    def run(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "dgeval", *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
-
-    return run
+    commands = Commands(ROOT)
+    yield commands
+    commands.close()
 
 
 @pytest.fixture(scope="session")
