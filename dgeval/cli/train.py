@@ -21,6 +21,7 @@ Examples:
   dgeval train ffhnet --out runs/ffhnet --jobs 2        (more than an hour on two cores)
   dgeval train ffhnet --out runs/quick --objects 18 --tried 60 --views 20 --steps 200
   dgeval train vfas --out runs/vfas --jobs 2            (its steps took 10 and 26 minutes)
+  dgeval train ffhnet-evaluator --out runs/tuned        (some 40 minutes on one core)
 
 Stopped runs go on where they were. Use what comes out with
   dgeval replay … --set grasps.generator=runs/ffhnet/ffhnet_generator.safetensors \
@@ -30,7 +31,12 @@ Stopped runs go on where they were. Use what comes out with
 
 @command
 def train(
-    network: Annotated[str, typer.Argument(help="ffhnet, or vfas.")],
+    network: Annotated[
+        str,
+        typer.Argument(
+            help="ffhnet, vfas, or ffhnet-evaluator: an evaluator tuned further on its own choices."
+        ),
+    ],
     out: Annotated[
         Path, typer.Option(help="Folder for grasp data, checkpoints, weights, metrics.")
     ],
@@ -42,21 +48,33 @@ def train(
         ),
     ] = None,
     tried: Annotated[
-        int,
+        int | None,
         typer.Option(
             min=12,
-            help="ffhnet: grasps tried in physics per object, sampled, and as many proposed.",
+            help="ffhnet: grasps tried in physics per object, sampled, and as many proposed, 240; "
+            "ffhnet-evaluator: proposed, 96.",
         ),
-    ] = 240,
+    ] = None,
     scenes: Annotated[
         int,
         typer.Option(min=1, help="vfas: views per object, each with 24 poses tried in physics."),
     ] = 16,
-    views: Annotated[int, typer.Option(min=2, help="ffhnet: clouds per object.")] = 100,
+    views: Annotated[
+        int | None,
+        typer.Option(min=2, help="ffhnet: clouds per object, 100; ffhnet-evaluator: 60."),
+    ] = None,
     steps: Annotated[
         int | None,
         typer.Option(
-            min=10, help="Of an evaluator, 6500 or 4000; FFHNet's generator takes 16 for every 13."
+            min=10,
+            help="Of an evaluator, 6500 or 4000; of tuning further, 2500; FFHNet's generator takes "
+            "16 for every 13.",
+        ),
+    ] = None,
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            help="ffhnet-evaluator: file of the evaluator, with fingers, to tune; else the shipped."
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of data, weights and batches.")] = 0,
@@ -75,8 +93,11 @@ def train(
 
     from dgeval.errors import UsageError
 
-    if network not in ("ffhnet", "vfas"):
-        raise UsageError(f"no network {network!r} to train", hint="ffhnet or vfas")
+    if network not in ("ffhnet", "ffhnet-evaluator", "vfas"):
+        hint = "ffhnet, ffhnet-evaluator or vfas"
+        raise UsageError(f"no network {network!r} to train", hint=hint)
+    if start is not None and network != "ffhnet-evaluator":
+        raise UsageError("--start is of ffhnet-evaluator only")
     with Progress(console=Console(stderr=True), disable=json_ or not sys.stderr.isatty()) as bar:
         tasks: dict[str, TaskID] = {}
         totals: dict[str, int] = {}
@@ -91,8 +112,30 @@ def train(
 
         if network == "ffhnet":
             metrics = _ffhnet(
-                out, objects or 63, tried, views, steps or 6500, seed, jobs, totals, progress
+                out,
+                objects or 63,
+                tried or 240,
+                views or 100,
+                steps or 6500,
+                seed,
+                jobs,
+                totals,
+                progress,
             )
+        elif network == "ffhnet-evaluator":
+            from dgeval.networks.checkpoints import shipped
+            from dgeval.training.ffhnet import Settings as EvaluatorSettings
+            from dgeval.training.ship import tune_again
+
+            objects, totals["tuning"] = objects or 63, steps or 2500
+            tuning = EvaluatorSettings(
+                views=views or 60,
+                tune_steps=totals["tuning"],
+                seed=seed,
+                held_out=min(9, objects // 3),
+            )
+            first = start or shipped("ffhnet_evaluator_fingers.safetensors")
+            metrics = tune_again(out, first, objects, tuning, tried or 96, jobs, progress)
         else:
             from dgeval.training.vfas import Settings, train_all
 

@@ -12,6 +12,7 @@ import pickle
 import types
 import zipfile
 from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -211,6 +212,11 @@ def load_strictly(network: nn.Module, weights: dict[str, Tensor], source: str) -
             )
     network.load_state_dict(cast)
     network.eval()
+
+
+def shipped(name: str) -> Path:
+    """A file of the weights that come with dgeval."""
+    return Path(str(resources.files("dgeval.networks") / "weights" / name))
 
 
 def version_of(path: Path) -> tuple[int, int]:

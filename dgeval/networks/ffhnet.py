@@ -223,17 +223,18 @@ def load_generator(path: Path) -> FFHGenerator:
 def load_evaluator(path: Path) -> FFHEvaluator:
     """An evaluator from the authors' `*_eva_net.pt` or from a safetensors file, of any size.
 
-    It takes joints as inputs if the file's name contains `fingers`. Raises UsageError if the
-    weights can't be read or don't fit.
+    It takes joints as inputs if its file says so, or the file's name contains `fingers`. Raises
+    UsageError if the weights can't be read or don't fit.
     """
     weights = read_weights(path, "ffhevaluator_state_dict")
-    joints = "fingers" in path.name
+    about = metadata_of(path)
+    joints = about.get("joints") == "yes" or "fingers" in path.name
     sizes = _sizes(weights, "bn1.weight", "rb1")
     if sizes:
         sizes = (sizes[0] - 12 - (N_JOINTS if joints else 0), *sizes[1:])
     network = FFHEvaluator(*sizes, joints=joints) if sizes else FFHEvaluator(joints=joints)
     load_strictly(network, weights, str(path))
-    network.upright = metadata_of(path).get("axes") == "upright"
+    network.upright = about.get("axes") == "upright"
     return network
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from dgeval.determinism import generator
 from dgeval.errors import UsageError
 from dgeval.geometry import Array
 from dgeval.networks.bps import basis, encode
+from dgeval.networks.checkpoints import shipped
 from dgeval.networks.ffhnet import (
     N_JOINTS,
     FFHEvaluator,
@@ -105,13 +105,9 @@ def networks_of(config: GraspsConfig) -> Networks:
 
 @cache
 def _load(generator_file: str | None, evaluator_file: str | None) -> Networks:
-    shipped = Path(str(resources.files("dgeval.networks") / "weights"))
-    grasp_generator = load_generator(
-        Path(generator_file) if generator_file else shipped / "ffhnet_generator.safetensors"
-    )
-    grasp_evaluator = load_evaluator(
-        Path(evaluator_file) if evaluator_file else shipped / "ffhnet_evaluator_fingers.safetensors"
-    )
+    own = shipped("ffhnet_generator.safetensors"), shipped("ffhnet_evaluator_fingers.safetensors")
+    grasp_generator = load_generator(Path(generator_file) if generator_file else own[0])
+    grasp_evaluator = load_evaluator(Path(evaluator_file) if evaluator_file else own[1])
     networks = Networks(
         grasp_generator,
         grasp_evaluator,

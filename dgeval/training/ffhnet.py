@@ -48,17 +48,19 @@ SHARES = {
     "retreated": 0.12,
     "far": 0.05,
 }
-# The same for tuning, when the data also hold the evaluator's own choices, tried in physics:
-# chosen_held, chosen_failed.
+# The same for tuning, when the data also hold the evaluator's own choices, and hands short of them,
+# all tried in physics: chosen_held, chosen_failed, short_held, short_failed.
 TUNE_SHARES = {
-    "held": 0.20,
-    "chosen_held": 0.22,
-    "failed": 0.12,
-    "chosen_failed": 0.18,
-    "overlapping": 0.12,
-    "hard": 0.05,
-    "retreated": 0.08,
-    "far": 0.03,
+    "held": 0.16,
+    "chosen_held": 0.20,
+    "short_held": 0.06,
+    "failed": 0.10,
+    "chosen_failed": 0.16,
+    "short_failed": 0.16,
+    "overlapping": 0.08,
+    "hard": 0.03,
+    "retreated": 0.03,
+    "far": 0.02,
 }
 # m, least and greatest retreat; hands nearer to a grasp are tried in physics
 RETREAT_M = (0.06, 0.2)
@@ -92,7 +94,8 @@ class ObjectData:
 
     - bps (v, n), T_view_object (v, 4, 4): of v views, as in `View`.
     - T_object_palm (g, 4, 4) m, joints (g, 15) rad: of g grasps.
-    - rows: indices of the grasps that held, failed, overlapping, chosen_held, chosen_failed.
+    - rows: indices of the grasps that held, failed, overlapping, chosen_held, chosen_failed,
+      short_held, short_failed.
     - top: z of the object's highest point in its frame, m.
     """
 
@@ -112,13 +115,14 @@ def load_objects(
     seed: int,
     proposed: Path | None = None,
     chosen: Path | None = None,
+    short: Path | None = None,
 ) -> list[ObjectData]:
     """Grasps and views of procedural objects 0 to count - 1.
 
     - folder: of files with sampled grasps, one per object.
     - proposed: folder of a generator's proposals for the same objects, added to the sampled grasps.
     - chosen: folder of an evaluator's choices. Objects from `count` on that have a file there
-      follow in the result.
+      follow in the result. short: folder of hands short of them, added to the choices.
 
     Raises UsageError if a file is missing in `folder`, or if no grasp held.
     """
@@ -139,21 +143,21 @@ def load_objects(
         files = (
             [] if index >= count else [path] if proposed is None else [path, proposed / path.name]
         )
-        general = len(files)
-        if chosen is not None and (chosen / path.name).is_file():
-            files.append(chosen / path.name)
+        kinds = [""] * len(files)
+        for kind, more in (("chosen_", chosen), ("short_", short)):
+            if more is not None and (more / path.name).is_file():
+                files.append(more / path.name)
+                kinds.append(kind)
         grasps = [read_grasps(file) for file in files]
         fields = ("T_object_palm", "joints", "held", "overlapping")
         data = GraspData(*(np.concatenate([getattr(g, f) for g in grasps]) for f in fields))
-        is_chosen = np.repeat(np.arange(len(grasps)) >= general, [len(g.held) for g in grasps])
+        kind_of = np.repeat(kinds, [len(g.held) for g in grasps])
         views = views_of(object_model, settings.views, settings.n_bps, settings.seed)
-        rows = {
-            "held": np.flatnonzero(data.held & ~is_chosen),
-            "failed": np.flatnonzero(~data.held & ~data.overlapping & ~is_chosen),
-            "overlapping": np.flatnonzero(data.overlapping),
-            "chosen_held": np.flatnonzero(data.held & is_chosen),
-            "chosen_failed": np.flatnonzero(~data.held & is_chosen),
-        }
+        failed = ~data.held & ~data.overlapping
+        rows = {"overlapping": np.flatnonzero(data.overlapping)}
+        for kind in ("", "chosen_", "short_"):
+            rows[f"{kind}held"] = np.flatnonzero(data.held & (kind_of == kind))
+            rows[f"{kind}failed"] = np.flatnonzero(failed & (kind_of == kind))
         out.append(
             ObjectData(
                 object_model.name,
@@ -202,7 +206,7 @@ def batch_of(
             T = _hard_negative(T, rng)
         bps.append(owner.bps[view])
         poses[i], joints[i] = T, owner.joints[row]
-    label = np.isin(kinds, ("held", "chosen_held")).astype(np.float32)
+    label = np.char.endswith(kinds.astype(str), "held").astype(np.float32)
     return torch.stack(bps), palms_of(poses, joints), torch.from_numpy(label)
 
 

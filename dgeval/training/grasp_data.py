@@ -4,7 +4,8 @@ An object stands on a table. The hand flies to a pose, closes, lifts, and is sha
 a random sampler (docs/simulation.md, "Known grasps") and from perturbing grasps that held. A pose
 in which the open hand overlaps the object is a failure and is not tried. Later an evaluator also
 learns from grasps that it would choose itself, because its mistakes are among the highest scores of
-thousands of candidates.
+thousands of candidates, and from hands that are still short of those, because the score of the hand
+as it is decides when the fingers close.
 """
 
 from __future__ import annotations
@@ -53,6 +54,11 @@ MAX_CANDIDATES = 15_000  # random candidates per object
 CHOSEN_VIEWS = 8  # per object, for which an evaluator's choices are tried
 CHOSEN_DRAWS = 8  # times 256 candidates per view, which the evaluator chooses from
 BEST_SCORED = 300  # candidates with the highest scores; the free ones among them may be chosen
+# hands short of a chosen grasp:
+SHORT_M = (0.005, 0.08)  # m, least and greatest distance back along the fingers
+SHORT_SD = 0.004  # m, standard deviation on each axis, on top of that
+SHORT_RAD = np.radians(4)  # rad, standard deviation of the rotation on each axis
+SHORT_OF_HELD = 2  # tries short of a choice that held; of any other one
 
 
 @dataclass(frozen=True)
@@ -137,9 +143,19 @@ def partway_grasp(
     Closing there is too early.
     """
     T, preshape = held_grasps[int(rng.integers(len(held_grasps)))]
-    metres = rng.normal(0, APPROACH_SD, 3)
-    metres[2] -= rng.uniform(*APPROACH_M)  # the hand's z runs along its fingers
-    return T @ increment(np.concatenate([metres, rng.normal(0, APPROACH_RAD, 3)])), preshape
+    return T @ drawn_back(rng, APPROACH_M, APPROACH_SD, APPROACH_RAD), preshape
+
+
+def drawn_back(
+    rng: np.random.Generator, distance: tuple[float, float], sd: float, sd_rad: float
+) -> Array:
+    """T_hand_back (4, 4): a hand moved back along its fingers by a uniform distance, m.
+
+    sd (m) and sd_rad (rad): standard deviations of a disturbance on each axis, on top of that.
+    """
+    metres = rng.normal(0, sd, 3)
+    metres[2] -= rng.uniform(*distance)  # the hand's z runs along its fingers
+    return increment(np.concatenate([metres, rng.normal(0, sd_rad, 3)]))
 
 
 def try_proposed(
@@ -236,6 +252,31 @@ def try_selected(
     )
 
 
+def try_short(object_model: ObjectModel, chosen: GraspData, seed: int) -> GraspData:
+    """Try hands 5 to 80 mm short of an evaluator's choices.
+
+    Closing there is too early for most of them; some hold all the same.
+    """
+    world = FlyingHand(object_model)
+    poses, joints, held = [], [], []
+    for k, (T, q, was_held) in enumerate(
+        zip(chosen.T_object_palm, chosen.joints, chosen.held, strict=True)
+    ):
+        rng = generator(seed, f"short/{object_model.name}", k)
+        for _ in range(SHORT_OF_HELD if was_held else 1):
+            back = drawn_back(rng, SHORT_M, SHORT_SD, SHORT_RAD)
+            short = T @ invert(HAND.T_hand_palm) @ back @ HAND.T_hand_palm
+            poses.append(short)
+            joints.append(q)
+            held.append(holds(world, short, q))
+    return GraspData(
+        np.reshape(poses, (-1, 4, 4)),
+        np.reshape(joints, (-1, 15)),
+        np.array(held, bool),
+        np.zeros(len(held), np.bool_),
+    )
+
+
 def write_grasps(
     index: int,
     out: Path,
@@ -243,12 +284,13 @@ def write_grasps(
     tried: int,
     weights: Path | None = None,
     evaluator: Path | None = None,
+    chosen: Path | None = None,
 ) -> Path:
     """Write tried grasps of procedural object `index` to OUT/<object>.npz; returns the path.
 
     A finished file of the same settings is kept. weights: file of a generator; its proposals are
     tried instead of sampled grasps. evaluator: file of an evaluator; with `weights`, its choices
-    are tried.
+    are tried. chosen: folder of such choices; with `evaluator`, hands short of them are tried.
     """
     limit_threads()
     out.mkdir(parents=True, exist_ok=True)
@@ -262,9 +304,13 @@ def write_grasps(
         about += f" proposed by {sha256_of(weights)}"
     if evaluator is not None:
         about += f" chosen by {sha256_of(evaluator)}"
+    if chosen is not None:
+        about += " short of them"
     if path.is_file() and str(np.load(path)["about"]) == about:
         return path
-    if weights is None:
+    if chosen is not None:
+        data = try_short(object_model, read_grasps(chosen / path.name), seed)
+    elif weights is None:
         data = make_grasps(object_model, seed, tried)
     elif evaluator is None:
         data = try_proposed(object_model, load_generator(weights), seed, tried)

@@ -18,8 +18,15 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from dgeval.determinism import limit_threads
-from dgeval.networks.checkpoints import quantised
-from dgeval.networks.ffhnet import FFHEvaluator, FFHGenerator, Palms, load_generator, palms_of
+from dgeval.networks.checkpoints import quantised, shipped
+from dgeval.networks.ffhnet import (
+    FFHEvaluator,
+    FFHGenerator,
+    Palms,
+    load_evaluator,
+    load_generator,
+    palms_of,
+)
 from dgeval.parallel import write_all
 from dgeval.planning.grasps import Networks
 from dgeval.training.ffhnet import Kind, ObjectData, Settings, calibrate, load_objects, train, tune
@@ -82,38 +89,104 @@ def train_all(
         network = trained(kind, data)
         assert isinstance(network, FFHEvaluator)
         # and each from its own choices, for its training objects and for as many new ones
-        chosen, first = out / f"chosen_by_{kind}", out / f"first_{kind}.safetensors"
+        first = out / f"first_{kind}.safetensors"
         export(network, first)
-        make = partial(
-            write_grasps,
-            out=chosen,
-            seed=settings.seed,
-            tried=0,
-            weights=generator_file,
-            evaluator=first,
-        )
         indices = [*range(len(learning)), *range(objects, objects + len(learning))]
-        write_all(make, indices, jobs, lambda _: None)
+        folders = own_choices(out, kind, generator_file, first, indices, settings.seed, jobs)
         with_own = load_objects(
-            out / "grasps", settings, objects, settings.seed, out / "proposed", chosen
+            out / "grasps", settings, objects, settings.seed, out / "proposed", *folders
         )
-        own = [o for o in with_own if len(o.rows["chosen_held"]) or len(o.rows["chosen_failed"])]
-        tune(
-            network,
-            own,
-            settings,
-            out / f"{kind}_tuned.ckpt",
-            lambda step, terms: progress("tuning", step, terms),
-        )
-        # every second held-out object calibrates, the others measure
-        networks = Networks(load_generator(generator_file), network, upright=True)
+        tune_on_own(network, with_own, settings, out / f"{kind}_tuned.ckpt", progress)
         unseen = range(objects - settings.held_out, objects)
-        factor, offset = calibrate(network, *selected(networks, unseen[::2], settings.seed))
-        bps, palms, held = selected(networks, unseen[1::2], settings.seed)
-        with torch.no_grad():
-            scores = scores_of(network(bps, palms).numpy().astype(float), held.numpy() > 0.5)
-        metrics["held_out"][kind] = {**scores, "platt_factor": factor, "platt_offset": offset}
+        metrics["held_out"][kind] = calibrated(generator_file, network, unseen, settings.seed)
         export(network, out / f"ffhnet_{kind}.safetensors")
+    (out / "metrics.json").write_text(json.dumps(metrics, indent=1), encoding="utf-8")
+    return metrics
+
+
+def own_choices(
+    out: Path,
+    kind: str,
+    generator_file: Path,
+    evaluator_file: Path,
+    indices: Sequence[int],
+    seed: int,
+    jobs: int,
+) -> tuple[Path, Path]:
+    """Folders of an evaluator's choices, and of hands short of them, tried in physics."""
+    make = partial(
+        write_grasps, seed=seed, tried=0, weights=generator_file, evaluator=evaluator_file
+    )
+    chosen, short = out / f"chosen_by_{kind}", out / f"short_of_{kind}"
+    write_all(partial(make, out=chosen), indices, jobs, lambda _: None)
+    write_all(partial(make, out=short, chosen=chosen), indices, jobs, lambda _: None)
+    return chosen, short
+
+
+def tune_on_own(
+    network: FFHEvaluator,
+    objects: list[ObjectData],
+    settings: Settings,
+    checkpoint: Path,
+    progress: Callable[[str, int, dict[str, float]], None],
+) -> None:
+    """Tune an evaluator, in place, on the objects for which it chose something."""
+    own = [o for o in objects if len(o.rows["chosen_held"]) or len(o.rows["chosen_failed"])]
+    tune(network, own, settings, checkpoint, lambda step, terms: progress("tuning", step, terms))
+
+
+def calibrated(
+    generator_file: Path, network: FFHEvaluator, unseen: Sequence[int], seed: int
+) -> dict[str, float]:
+    """Calibrate an evaluator, in place, on every second unseen object; measured on the others."""
+    networks = Networks(load_generator(generator_file), network, upright=True)
+    factor, offset = calibrate(network, *selected(networks, unseen[::2], seed))
+    bps, palms, held = selected(networks, unseen[1::2], seed)
+    with torch.no_grad():
+        scores = scores_of(network(bps, palms).numpy().astype(float), held.numpy() > 0.5)
+    return {**scores, "platt_factor": factor, "platt_offset": offset}
+
+
+def tune_again(
+    out: Path,
+    start: Path,
+    objects: int,
+    settings: Settings,
+    proposals: int,
+    jobs: int,
+    progress: Callable[[str, int, dict[str, float]], None],
+) -> dict[str, Any]:
+    """Tune an evaluator with fingers further, on its own choices; returns the metrics.
+
+    start: its file. Writes OUT/ffhnet_evaluator_fingers.safetensors and OUT/metrics.json. Its
+    choices are for the training objects of `objects` and for half as many new ones; the shipped
+    generator's proposals for the training objects, `proposals` of each, are tried too.
+    """
+    limit_threads()
+    kind = "evaluator_fingers"
+    generator_file = shipped("ffhnet_generator.safetensors")
+    learning = range(objects - settings.held_out)
+    make = partial(
+        write_grasps,
+        out=out / "proposed",
+        seed=settings.seed,
+        tried=proposals,
+        weights=generator_file,
+    )
+    write_all(make, learning, jobs, lambda _: None)
+    indices = [*learning, *range(objects, objects + len(learning) // 2)]
+    folders = own_choices(out, kind, generator_file, start, indices, settings.seed, jobs)
+    data = load_objects(out / "proposed", settings, len(learning), settings.seed, None, *folders)
+    network = load_evaluator(start)
+    tune_on_own(network, data, settings, out / f"{kind}_tuned.ckpt", progress)
+    unseen = range(len(learning), objects)
+    scores = calibrated(generator_file, network, unseen, settings.seed)
+    export(network, out / f"ffhnet_{kind}.safetensors")
+    metrics = {
+        "settings": asdict(settings),
+        "data": _about(data, []),
+        "held_out": {kind: scores},
+    }
     (out / "metrics.json").write_text(json.dumps(metrics, indent=1), encoding="utf-8")
     return metrics
 
@@ -141,9 +214,12 @@ def selected(networks: Networks, indices: Sequence[int], seed: int) -> tuple[Ten
 def export(network: nn.Module, path: Path) -> None:
     """Write a safetensors file: matrices quantised, which shrinks it; norms and biases as they are.
 
-    The metadata say that the network takes upright clouds, as all networks trained here do.
+    The metadata say that the network takes upright clouds, as all networks trained here do, and
+    whether it takes joints.
     """
-    save_file(quantised(network.state_dict()), path, {"axes": "upright"})
+    joints = isinstance(network, FFHEvaluator) and network.joints
+    about = {"axes": "upright", "joints": "yes" if joints else "no"}
+    save_file(quantised(network.state_dict()), path, about)
 
 
 def scores_of(p: np.ndarray[Any, Any], held: np.ndarray[Any, Any]) -> dict[str, float]:
@@ -173,10 +249,8 @@ def scores_of(p: np.ndarray[Any, Any], held: np.ndarray[Any, Any]) -> dict[str, 
 def _about(learning: list[ObjectData], held_out: list[ObjectData]) -> dict[str, Any]:
     """Names of the objects, and number of grasps of each kind, for training and held out."""
     return {
-        name: {
-            kind: sum(len(o.rows[kind]) for o in objects)
-            for kind in ("held", "failed", "overlapping")
-        }
+        name: {kind: sum(len(o.rows[kind]) for o in objects) for kind in objects[0].rows}
         | {"objects": [o.name for o in objects]}
         for name, objects in (("training", learning), ("held_out", held_out))
+        if objects
     }

@@ -1868,6 +1868,66 @@ MUTANTS = [
         'own["model"] = self.model',
         "tests/replay/test_fidelity.py",
     ),
+    Mutant(
+        "dgeval/replay/fidelity.py",
+        "        at = t - late_s\n",
+        "        at = t + late_s\n",
+        "tests/replay/test_fidelity.py",
+    ),
+    Mutant(
+        "dgeval/replay/fidelity.py",
+        "return all(e <= SAME * b.most for",
+        "return all(e <= b.most for",
+        "tests/replay/test_fidelity.py",
+    ),
+    Mutant(
+        "dgeval/replay/fidelity.py",
+        "is_faithful = None if one.is_faithful is False and excused",
+        "is_faithful = None if excused",
+        "tests/replay/test_fidelity.py",
+    ),
+    Mutant(
+        "dgeval/replay/fidelity.py",
+        '"seed": config.seed + k + 1',
+        '"seed": config.seed + k',
+        "tests/replay/test_fidelity.py",
+    ),
+    Mutant(
+        "dgeval/planning/recorded_candidates.py",
+        "is_kept = kept is not None and _is_same(poses[-1], kept[0])",
+        "is_kept = kept is not None",
+        "tests/planning/test_recorded_candidates.py",
+    ),
+    Mutant(
+        "dgeval/planning/recorded_candidates.py",
+        "poses = invert(belief.T_base_object) @ one.T_base_palm",
+        "poses = one.T_base_palm",
+        "tests/planning/test_recorded_candidates.py",
+    ),
+    Mutant(
+        "dgeval/planning/proposals.py",
+        "proposals.left_out.update(self._feasible.refused())",
+        "pass",
+        "tests/planning/test_recorded_candidates.py",
+    ),
+    Mutant(
+        "dgeval/simulation/record.py",
+        "poses = T_base_object @ proposals.T_object_palm[rows]",
+        "poses = proposals.T_object_palm[rows]",
+        "tests/planning/test_recorded_candidates.py",
+    ),
+    Mutant(
+        "dgeval/recording/choices.py",
+        "scores.setdefault(bisect_right(logged, log_ns) - 1, values)",
+        "scores.setdefault(bisect_right(logged, log_ns), values)",
+        "tests/recording/test_choices.py",
+    ),
+    Mutant(
+        "dgeval/replay/own_inputs.py",
+        "if seen and T_camera_model is not None:",
+        "if T_camera_model is not None and not seen:",
+        "tests/replay/test_fidelity.py",
+    ),
 ]
 
 

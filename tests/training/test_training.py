@@ -19,7 +19,10 @@ from dgeval.simulation.grasps import FlyingHand
 from dgeval.training import ffhnet, loop, vfas
 from dgeval.training.ffhnet import Settings, batch_of, load_objects
 from dgeval.training.grasp_data import (
+    HAND,
     MAX_PENETRATION,
+    SHORT_M,
+    SHORT_SD,
     holds,
     make_grasps,
     read_grasps,
@@ -164,11 +167,32 @@ def test_an_evaluator_is_tuned_on_what_it_would_choose(grasps: Path, tmp_path: P
         arrays |= {"T_object_palm": np.tile(np.eye(4), (4, 1, 1)), "joints": np.zeros((4, 15))}
         arrays |= {"held": np.array([1, 1, 0, 0], bool), "overlapping": np.zeros(4, bool)}
         np.savez(path, **arrays)
-    objects = load_objects(grasps, SMALL, 6, 0, chosen=chosen)
+    short = tmp_path / "short"
+    write_all(
+        lambda k: write_grasps(k, short, 0, 0, generator_file, first, chosen),
+        [0, 1, 7],
+        1,
+        lambda _: None,
+    )
+    data = read_grasps(next(iter(sorted(short.iterdir()))))
+    assert len(data.held) == 2 * 2 + 2  # two tries short of each choice that held
+    # of palms at I, along the hand's fingers
+    back = (HAND.T_hand_palm @ data.T_object_palm @ invert(HAND.T_hand_palm))[:, 2, 3]
+    assert (back < -SHORT_M[0] + 4 * SHORT_SD).all()
+    assert (back > -SHORT_M[1] - 4 * SHORT_SD).all()
+    assert back.min() < -0.02
+    for path in short.iterdir():  # nor do these hold
+        with np.load(path) as file:
+            arrays = {k: file[k] for k in file}
+        np.savez(path, **(arrays | {"held": np.array([1, 0, 0, 0, 0, 0], bool)}))
+    objects = load_objects(grasps, SMALL, 6, 0, chosen=chosen, short=short)
+    assert [len(o.rows["short_held"]) for o in objects] == [1, 1, 0, 0, 0, 0, 1]
+    assert [len(o.rows["short_failed"]) for o in objects] == [5, 5, 0, 0, 0, 0, 5]
     assert [len(o.rows["chosen_held"]) for o in objects] == [2, 2, 0, 0, 0, 0, 2]
     assert len(objects[6].rows["held"]) == 0
     assert len(objects[0].rows["held"]) == read_grasps(grasps / f"{objects[0].name}.npz").held.sum()
-    for kind, label in (("chosen_held", 1), ("chosen_failed", 0)):
+    labels = {"chosen_held": 1, "chosen_failed": 0, "short_held": 1, "short_failed": 0}
+    for kind, label in labels.items():
         assert (batch_of(objects, 20, {kind: 1.0}, np.random.default_rng(0))[2] == label).all()
     network = load_ffhnet_evaluator(first)
     before = {k: v.clone() for k, v in network.state_dict().items()}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from importlib import resources
 from pathlib import Path
 
 import cv2
@@ -14,7 +13,7 @@ import numpy as np
 from dgeval.config import Config, VfasConfig
 from dgeval.determinism import generator
 from dgeval.geometry import Array, invert, rotation_vector, transform
-from dgeval.networks.checkpoints import version_of
+from dgeval.networks.checkpoints import shipped, version_of
 from dgeval.networks.pointnet2 import GraspEvaluator, load_evaluator
 from dgeval.perception.self_filter import hand_pixels
 from dgeval.planning.vfas.contacts import (
@@ -39,10 +38,7 @@ SEED_TRIES = 5  # frames in which Contact-GraspNet is asked for a seed; ours
 
 def evaluator_of(path: str | None) -> GraspEvaluator:
     """The evaluator of a file of weights; the shipped one for None."""
-    shipped = Path(
-        str(resources.files("dgeval.networks") / "weights" / "vfas_evaluator.safetensors")
-    )
-    file = shipped if path is None else Path(path)
+    file = shipped("vfas_evaluator.safetensors") if path is None else Path(path)
     return _read(file, version_of(file))
 
 
