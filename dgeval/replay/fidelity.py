@@ -117,6 +117,8 @@ class Fidelity:
         if not self.errors:
             return f"{self.stage}: the replay has none in most of {self.n} ({self.word})"
         more = [self.word]
+        if self.agreement is not None and not self.is_faithful:
+            more.append(f"{100 * self.agreement:.0f} % of {self.n} within the bounds")
         if self.late_s:
             side = "later" if self.late_s > 0 else "earlier"
             more.append(f"as {side} by {abs(self.late_s) * 1e3:.0f} ms")

@@ -18,6 +18,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from dgeval.determinism import limit_threads
+from dgeval.errors import Place, UsageError
 from dgeval.networks.checkpoints import quantised, shipped
 from dgeval.networks.ffhnet import (
     FFHEvaluator,
@@ -160,11 +161,15 @@ def tune_again(
 
     start: its file. Writes OUT/ffhnet_evaluator_fingers.safetensors and OUT/metrics.json. Its
     choices are for the training objects of `objects` and for half as many new ones; the shipped
-    generator's proposals for the training objects, `proposals` of each, are tried too.
+    generator's proposals for the training objects, `proposals` of each, are tried too. Raises
+    UsageError for an evaluator without joints.
     """
     limit_threads()
     kind = "evaluator_fingers"
     generator_file = shipped("ffhnet_generator.safetensors")
+    network = load_evaluator(start)
+    if not network.joints:
+        raise UsageError("this evaluator takes no joints", Place(str(start)))
     learning = range(objects - settings.held_out)
     make = partial(
         write_grasps,
@@ -177,7 +182,6 @@ def tune_again(
     indices = [*learning, *range(objects, objects + len(learning) // 2)]
     folders = own_choices(out, kind, generator_file, start, indices, settings.seed, jobs)
     data = load_objects(out / "proposed", settings, len(learning), settings.seed, None, *folders)
-    network = load_evaluator(start)
     tune_on_own(network, data, settings, out / f"{kind}_tuned.ckpt", progress)
     unseen = range(len(learning), objects)
     scores = calibrated(generator_file, network, unseen, settings.seed)
