@@ -50,8 +50,8 @@ CHANGES: tuple[tuple[str, str, str | None], ...] = (
 
 
 def differing(stages: Sequence[Fidelity]) -> set[str]:
-    """Stages told as not the robot's: by their result, or by what they make of its inputs."""
-    return {one.stage for one in stages if one.is_faithful is False or one.is_same is False}
+    """Stages told as not the robot's."""
+    return {one.stage for one in stages if one.is_other}
 
 
 def main() -> None:
@@ -111,8 +111,9 @@ def main() -> None:
     )
     parts = [
         "The robot is a replay with FFHNet of the same recording; then one thing is changed. A "
-        "stage is told where its result is beyond the bounds of `replay/fidelity.py` and beyond "
-        "what two other seeds show, or where it makes something else of the robot's own inputs.",
+        "stage is told where it makes something else of the robot's own inputs; where these aren't "
+        "recorded, where its result is beyond the bounds of `replay/fidelity.py` and beyond what "
+        "two other seeds show.",
         table(["changed", "its stage", "moved", "told there", "told at any", "stages told"], rows),
         "`moved`: trials in which the change gave its stage another result at all; told there: of "
         "these.",

@@ -223,12 +223,12 @@ def load_generator(path: Path) -> FFHGenerator:
 def load_evaluator(path: Path) -> FFHEvaluator:
     """An evaluator from the authors' `*_eva_net.pt` or from a safetensors file, of any size.
 
-    It takes joints as inputs if its file says so, or the file's name contains `fingers`. Raises
-    UsageError if the weights can't be read or don't fit.
+    It takes joints as inputs if its file says so; where that says nothing, if the file's name
+    contains `fingers`. Raises UsageError if the weights can't be read or don't fit.
     """
     weights = read_weights(path, "ffhevaluator_state_dict")
     about = metadata_of(path)
-    joints = about.get("joints") == "yes" or "fingers" in path.name
+    joints = about["joints"] == "yes" if "joints" in about else "fingers" in path.name
     sizes = _sizes(weights, "bn1.weight", "rb1")
     if sizes:
         sizes = (sizes[0] - 12 - (N_JOINTS if joints else 0), *sizes[1:])

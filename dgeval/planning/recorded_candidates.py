@@ -15,9 +15,9 @@ from dgeval.planning.model_grasps import ToScore
 from dgeval.planning.proposals import Proposals
 from dgeval.recording.choices import RecordedChoices
 
-# ns between an image's time and that of its candidates; m and rad, within which a candidate is the
-# grasp chosen before; ours
-SAME_IMAGE_NS, SAME_M, SAME_RAD = 16_000_000, 1e-4, 1e-3
+# ns between an image's time and that of its candidates; m and rad, within which the last candidate
+# is the grasp chosen before, on a target that is tracked to some mm; ours
+SAME_IMAGE_NS, SAME_M, SAME_RAD = 16_000_000, 5e-3, np.radians(3.0)
 
 
 class RecordedProposals:
@@ -55,4 +55,4 @@ class RecordedProposals:
 def _is_same(T: Array, other: Array) -> bool:
     """Whether two poses (4, 4) are one."""
     metres = float(np.linalg.norm(T[:3, 3] - other[:3, 3]))
-    return metres < SAME_M and rotation_angle(T[:3, :3].T @ other[:3, :3]) < SAME_RAD
+    return metres < SAME_M and bool(rotation_angle(T[:3, :3].T @ other[:3, :3]) < SAME_RAD)

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from dgeval.config import ClockConfig
 from dgeval.recording.camera_poses import far_from_palm
 from dgeval.recording.check import PART_CHECK, Check
-from dgeval.recording.choices import unplaced
+from dgeval.recording.choices import unplaced, unscored
 from dgeval.recording.containers.container import lacks_its_log
 from dgeval.recording.containers.opening import missing_parts
 from dgeval.recording.contract import (
+    CANDIDATE_SCORES_TOPIC,
+    CANDIDATES_TOPIC,
     CLOSE_EVENT,
     EVENT_KEY,
     EVENT_KINDS,
@@ -154,6 +156,11 @@ def failed_checks(
     if "poses" not in {check.name for check in failed}:
         mend = "it is not used; record that transform, or publish it in the base"
         failed += [Check("choices", what, mend) for what in unplaced(scan, robot)]
+    if unscored(scan):
+        what = f"no set of {CANDIDATES_TOPIC} has as many scores in {CANDIDATE_SCORES_TOPIC}"
+        failed.append(
+            Check("choices", what, "they are not used; publish the scores after each set")
+        )
     failed += [
         Check("frozen", what, "what happens from there on is not seen; look at the driver")
         for what in frozen_streams(scan, roles, window, reader)

@@ -109,9 +109,10 @@ def _candidates(found: Scan, span: tuple[int, int], robot: RobotStates) -> tuple
     logged = [one.log_ns for one in listed]
     scores: dict[int, Array] = {}
     for log_ns, values in sorted(found.candidate_scores, key=lambda one: one[0]):
-        scores.setdefault(bisect_right(logged, log_ns) - 1, values)
+        scores.setdefault(bisect_right(logged, log_ns + SCORE_LATE_NS) - 1, values)
     for k, one in enumerate(listed):
-        own, t_ns = scores.get(k), one.t_ns or one.log_ns
+        own, is_stamped = scores.get(k), span[0] <= one.t_ns <= span[1]
+        t_ns = one.t_ns if is_stamped else one.log_ns
         if own is None or len(own) != len(one.poses) or not span[0] <= t_ns <= span[1]:
             continue
         T_base = _T_base(one, robot)
@@ -121,6 +122,12 @@ def _candidates(found: Scan, span: tuple[int, int], robot: RobotStates) -> tuple
         poses = np.array([matrix_from_pose(pose) for pose in one.poses[usable]])
         out.append(CandidateSet(t_ns, T_base @ poses, own[usable]))
     return tuple(sorted(out, key=lambda one: one.t_ns))
+
+
+def unscored(found: Scan) -> bool:
+    """Whether no set of candidates has as many scores as poses."""
+    lengths = {len(scores) for _, scores in found.candidate_scores}
+    return bool(found.candidates) and not any(len(s.poses) in lengths for s in found.candidates)
 
 
 def _T_base(one: StampedPoses, robot: RobotStates) -> Array | None:

@@ -124,8 +124,13 @@ class StampedPoses:
 
 
 def stamped_poses_of(message: Any, log_ns: int) -> StampedPoses:
-    """The poses of a PoseArray."""
-    listed = [pose_numbers(pose.position, pose.orientation) for pose in message.poses]
+    """The poses of a PoseArray; NaN for one that is none."""
+    listed = []
+    for pose in message.poses:
+        try:
+            listed.append(pose_numbers(pose.position, pose.orientation))
+        except ValueError:
+            listed.append(np.full(7, np.nan))
     parent = message.header.frame_id.lstrip("/")
     return StampedPoses(stamp_ns(message), log_ns, parent, np.reshape(listed, (-1, 7)))
 

@@ -367,10 +367,19 @@ def _onto_the_stamps_clock(found: Scan) -> None:
             if topic in found.twists:
                 twists = found.twists[topic]
                 found.twists[topic] = [(clock.stamp_ns(t_ns), twist) for t_ns, twist in twists]
+    found.candidates = [_on_clock(one, clock) for one in found.candidates]
+    found.candidate_scores = [(clock.stamp_ns(t_ns), v) for t_ns, v in found.candidate_scores]
     found.numbers = {
         topic: [(clock.stamp_ns(t_ns), value) for t_ns, value in listed]
         for topic, listed in found.numbers.items()
     }
+
+
+def _on_clock(one: StampedPoses, clock: RecorderClock) -> StampedPoses:
+    """A set with its times on the stamps' clock; its own stamp may be of either."""
+    by_recorder = one.t_ns and abs(one.log_ns - one.t_ns) < 0.5e9 * abs(clock.apart_s)
+    t_ns = clock.stamp_ns(one.t_ns) if by_recorder else one.t_ns
+    return replace(one, t_ns=t_ns, log_ns=clock.stamp_ns(one.log_ns))
 
 
 def _stamp(message: RawMessage, encoding: str, opened: Opened) -> int:

@@ -105,6 +105,14 @@ class Fidelity:
         return all(e <= SAME * b.most for e, b in zip(self.alone, bounds, strict=True))
 
     @property
+    def is_other(self) -> bool:
+        """Whether the stage itself is told as another than the robot's.
+
+        By what it makes of the robot's own inputs where that is known, else by its result.
+        """
+        return self.is_faithful is False if self.is_same is None else not self.is_same
+
+    @property
     def word(self) -> str:
         """For the table of trials."""
         return {True: "faithful", False: "not faithful", None: "not known"}[self.is_faithful]
@@ -121,15 +129,19 @@ class Fidelity:
             more.append(f"{100 * self.agreement:.0f} % of {self.n} within the bounds")
         if self.late_s:
             side = "later" if self.late_s > 0 else "earlier"
-            more.append(f"as {side} by {abs(self.late_s) * 1e3:.0f} ms")
+            more.append(f"as if {side} by {abs(self.late_s) * 1e3:.0f} ms")
         if self.spread and not self.is_faithful:
-            as_far = " as" if self.is_faithful is None else ""
-            more.append(f"seeds of the replay are{as_far} {self._values(self.spread)} apart")
+            more.append(f"two seeds of the replay: {self._apart(self.spread)}")
         if self.alone:
-            same = "the same" if self.is_same else f"{self._values(self.alone)} apart"
-            more.append(f"on the robot's own inputs {same}")
+            same = "the same" if self.is_same else self._apart(self.alone)
+            more.append(f"on the robot's own inputs: {same}")
         sign = "" if np.isfinite(self.errors).all() else ":"
         return f"{self.stage}{sign} {self._values(self.errors)} ({'; '.join(more)})"
+
+    def _apart(self, errors: Sequence[float]) -> str:
+        """How far two are apart, in words."""
+        values = self._values(errors)
+        return f"{values} apart" if np.isfinite(errors).all() else values
 
     def _values(self, errors: Sequence[float]) -> str:
         """Errors in words."""
@@ -153,8 +165,9 @@ class Compared:
         self._choices = trial.choices
         source = grasp_source(trial.robot, self._choices, config.grasps)
         self._chooses = source in ("ffhnet", "candidates") and config.pipeline != "vfas"
+        self._scores = source == "ffhnet"  # else the score is the robot's own
         own = recorded_decisions(self._choices, source, config)
-        self._decides = own is None and config.pipeline != "vfas"
+        self._decides = own is None and source != "candidates" and config.pipeline != "vfas"
         self._errors: dict[str, list[tuple[int, tuple[float, ...]]]] = defaultdict(list)
         # of stages whose delay is looked for: times ns, ours and theirs there (k,)
         self._ours: dict[str, list[tuple[int, Array]]] = defaultdict(list)
@@ -232,9 +245,12 @@ class Compared:
         choice, recorded = control.grasps.choice, self._choices
         grasp, score = recorded.grasp_at(t_ns), recorded.hand_scores.at(t_ns)
         if grasp is not None:
-            self._errors["grasp"].append((t_ns, pose_error(choice.T_base_palm, grasp)))
+            errors = pose_error(choice.T_base_palm, grasp)
+            self._errors["grasp"].append((t_ns, errors))
+            if any(e > b.most for e, b in zip(errors, BOUNDS["grasp"], strict=True)):
+                score = None  # of the hand with the fingers of another grasp
             self._beside("grasp", t_ns, choice.T_base_palm[:3, 3], grasp[:3, 3])
-        if score is not None and choice.hand_score is not None:
+        if self._scores and score is not None and choice.hand_score is not None:
             self._errors["score"].append((t_ns, (abs(choice.hand_score - score),)))
 
     def until(
@@ -405,13 +421,17 @@ def _delay(
     def apart(late_s: float) -> float:
         at = t - late_s
         inside = (at >= t[0]) & (at <= t[-1])
+        if inside.sum() < LEAST_VALUES:
+            return np.inf
         then = np.column_stack([np.interp(at[inside], t, column) for column in values.T])
-        return float(np.linalg.norm(own[inside] - then, axis=1).mean())
+        return round(float(np.linalg.norm(own[inside] - then, axis=1).mean()), 9)
 
     none = apart(0.0)
+    offset = float(np.linalg.norm(own - values - (own - values).mean(axis=0), axis=1).mean())
     steps = round(MOST_LATE_S / LATE_STEP_S)
     lates = [k * LATE_STEP_S for k in range(-steps, steps + 1) if t[-1] - t[0] > 2 * MOST_LATE_S]
-    if none <= least or not lates:
+    # an offset that never changes is one, though along a steady motion a delay would look the same
+    if none <= least or offset <= LATE_GAIN * none or not lates:
         return 0.0
     best = min(lates, key=lambda late_s: (apart(late_s), abs(late_s)))
     return best if apart(best) <= LATE_GAIN * none else 0.0

@@ -48,7 +48,10 @@ class OwnInputs:
         self._choices = choices
         if not choices.times or config.pipeline == "vfas":
             return
-        grasps, hand = RecordedGrasps(choices, config), trial.robot.hand or hand_named(DEFAULT_HAND)
+        # what was recorded of a control period is what the robot had in it: no latency on top
+        timed = config.schedule.model_copy(update={"grasps_latency_s": 0.0})
+        grasps = RecordedGrasps(choices, config.model_copy(update={"schedule": timed}))
+        hand = trial.robot.hand or hand_named(DEFAULT_HAND)
         if self.decides:
             grasps.c_e = score_threshold(trial, config)
         self._controller = Controller(grasps, hand, config)

@@ -79,7 +79,7 @@ class Replayed:
         for t_ns, T_base_model, drawn in self.candidates:
             rows = drawn.eligible
             T = T_base_model @ drawn.T_object_palm[rows]
-            poses = np.array([pose_from_matrix(pose) for pose in T])
+            poses = np.reshape([pose_from_matrix(pose) for pose in T], (-1, 7))
             candidates.append(StampedPoses(t_ns, t_ns, "", poses))
             scores.append((t_ns, drawn.scores[rows]))
         times = {k: v for k, v in trial.scan.times.items() if not k.startswith(BELIEF_PREFIX)}

@@ -116,21 +116,24 @@ def load_objects(
     proposed: Path | None = None,
     chosen: Path | None = None,
     short: Path | None = None,
+    new_from: int | None = None,
 ) -> list[ObjectData]:
     """Grasps and views of procedural objects 0 to count - 1.
 
     - folder: of files with sampled grasps, one per object.
     - proposed: folder of a generator's proposals for the same objects, added to the sampled grasps.
-    - chosen: folder of an evaluator's choices. Objects from `count` on that have a file there
-      follow in the result. short: folder of hands short of them, added to the choices.
+    - chosen: folder of an evaluator's choices. Objects from `new_from` (default `count`) on that
+      have a file there follow in the result. short: folder of hands short of them, added to the
+      choices.
 
     Raises UsageError if a file is missing in `folder`, or if no grasp held.
     """
     out = []
+    first = count if new_from is None else new_from
     others = (
         []
         if chosen is None
-        else sorted(k for k in map(_index_of, chosen.glob("*.npz")) if k >= count)
+        else sorted(k for k in map(_index_of, chosen.glob("*.npz")) if k >= first)
     )
     for index in [*range(count), *others]:
         object_model = procedural_object(index, seed)

@@ -181,7 +181,9 @@ def tune_again(
     write_all(make, learning, jobs, lambda _: None)
     indices = [*learning, *range(objects, objects + len(learning) // 2)]
     folders = own_choices(out, kind, generator_file, start, indices, settings.seed, jobs)
-    data = load_objects(out / "proposed", settings, len(learning), settings.seed, None, *folders)
+    data = load_objects(
+        out / "proposed", settings, len(learning), settings.seed, None, *folders, new_from=objects
+    )
     tune_on_own(network, data, settings, out / f"{kind}_tuned.ckpt", progress)
     unseen = range(len(learning), objects)
     scores = calibrated(generator_file, network, unseen, settings.seed)

@@ -50,7 +50,7 @@ def test_candidates_are_those_of_the_image_on_its_target() -> None:
     assert proposed(9 * FRAME_NS) is None
 
 
-@pytest.mark.parametrize(("off_m", "is_kept"), [(0.0, True), (0.001, False)])
+@pytest.mark.parametrize(("off_m", "is_kept"), [(0.0, True), (0.003, True), (0.006, False)])
 def test_the_grasp_chosen_before_is_known_again(off_m: float, is_kept: bool) -> None:
     """The last candidate is the one chosen before, or it is none."""
     before = invert(T_BASE_OBJECT) @ SETS[2].T_base_palm[-1] @ at(0.0, off_m)

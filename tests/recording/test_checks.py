@@ -75,6 +75,7 @@ def checks_of(
         opened=SimpleNamespace(topics={}),
         poses={},
         candidates=[],
+        candidate_scores=[],
         recorder_clock=None,
         images={"/d": ImageHead("16UC1", 4, 4, "c", "")},
         events=[],

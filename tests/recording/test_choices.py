@@ -147,6 +147,40 @@ def test_a_robots_own_candidates_are_what_is_chosen_from(
         assert (choice.score, choice.joints) == (0.5, None)
 
 
+def test_one_bad_candidate_costs_no_other(messages: list[Message], tmp_path: Path) -> None:
+    """Catches a set, and a recording, that are lost for one pose of NaN or a quaternion of zero;
+    and sets without scores that are dropped without a word.
+    """
+    listed = offered(messages, "base_link", [T, T, T])
+    for message in listed:
+        if message[1] == CANDIDATES_TOPIC:
+            message[3].poses[0].position.x = float("nan")
+            message[3].poses[1].orientation.w = 0.0
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert names(trial) == []
+    assert not trial.opened.damage
+    assert {len(one.scores) for one in trial.choices.candidates} == {1}
+    np.testing.assert_allclose(trial.choices.candidates[0].T_base_palm[0], T, atol=1e-12)
+    unscored = [m for m in listed if m[1] != CANDIDATE_SCORES_TOPIC]
+    trial = opened(write(tmp_path / "b.mcap", unscored))
+    assert names(trial) == ["choices"]
+    assert "as many scores" in trial.checks[0].what
+
+
+def test_candidates_follow_the_recorders_clock(messages: list[Message], tmp_path: Path) -> None:
+    """Catches candidates that are lost where the recorder's clock is not that of the stamps."""
+    listed = offered(messages, "base_link", [T, T])
+    there = opened(write(tmp_path / "a.mcap", listed)).choices.candidates
+    later = 5_000_000_000_000
+    listed = [[log_ns + later, *rest] for log_ns, *rest in listed]
+    for message in listed:
+        if message[1] == CANDIDATES_TOPIC:  # stamped by the recorder, as the others aren't
+            message[3].header.stamp.sec += later // 1_000_000_000
+    apart = opened(write(tmp_path / "b.mcap", listed)).choices.candidates
+    assert len(apart) == len(there) > 20
+    assert abs(apart[5].t_ns - there[5].t_ns) < 20_000_000
+
+
 def test_candidates_that_nothing_places_are_told(messages: list[Message], tmp_path: Path) -> None:
     listed = offered(messages, "planner_world", [T, T])
     trial = opened(write(tmp_path / "a.mcap", listed))

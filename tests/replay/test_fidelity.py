@@ -16,6 +16,7 @@ from dgeval import api
 from dgeval.config import load_config
 from dgeval.geometry import matrix_from_pose, pose_from_matrix
 from dgeval.planning.control import Choice, Control, GraspResult
+from dgeval.planning.proposals import Proposals
 from dgeval.planning.servo import ServoCommand
 from dgeval.recording.contract import COMMAND_TOPIC, MASK_TOPIC, TARGET_TOPIC, VELOCITY_TOPIC
 from dgeval.recording.messages import StampedPose
@@ -265,7 +266,8 @@ def test_what_is_taken_from_the_log_is_not_held_against_it(demo: Path) -> None:
         (520, 0.5, 0.0, {"grasp": True, "score": True, "decision": False}),
         (None, 0.5, 0.0, {"grasp": True, "score": True, "decision": False}),
         (500, 0.56, 0.0, {"grasp": True, "score": False, "decision": True}),
-        (500, 0.5, 0.006, {"grasp": False, "score": True, "decision": True}),
+        # the score is then of another grasp's fingers
+        (500, 0.5, 0.006, {"grasp": False, "decision": True}),
     ],
 )
 def test_the_choice_of_a_replay_that_chooses_itself(
@@ -352,8 +354,8 @@ def test_what_two_seeds_are_apart_is_no_difference(
     found = beside(replayed, monkeypatch, velocity=0.012)["velocity"]
     as_far, nearer = (fidelity._beside_seeds(found, (s,)) for s in (0.013, 0.011))
     assert (as_far.is_faithful, as_far.word, nearer.is_faithful) == (None, "not known", False)
-    assert "seeds of the replay are as 13 mm/s apart" in as_far.told
-    assert "seeds of the replay are 11 mm/s apart" in nearer.told
+    assert "two seeds of the replay: 13 mm/s apart" in as_far.told
+    assert "two seeds of the replay: 11 mm/s apart" in nearer.told
     good = beside(replayed, monkeypatch)["velocity"]
     assert fidelity._beside_seeds(good, (0.5,)).is_faithful
     # another seed of the same replay is drawn, and held against it
@@ -374,6 +376,16 @@ def test_what_two_seeds_are_apart_is_no_difference(
     assert max(max(errors) for errors in spread.values()) < 1e-9
 
 
+def test_a_replay_that_ruled_out_every_candidate_is_recorded_too(replayed: Recording) -> None:
+    """Fails where an empty set of candidates costs the trial."""
+    trial, steps = replayed
+    own = Replayed()
+    own.add(steps[0])
+    drawn = Proposals(np.eye(4)[None], np.zeros((1, 0)), np.array([0.5]), left_out={0})
+    own.candidates.append((steps[0].frame.t_ns, np.eye(4), drawn))
+    assert own.as_robot(trial).choices.candidates == ()
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.065, -0.03])
 def test_a_delay_is_told_as_one(late_s: float) -> None:
     """Fails where a delay has the other sign, or another value than the one it has."""
@@ -383,9 +395,11 @@ def test_a_delay_is_told_as_one(late_s: float) -> None:
         (round(t * 1e9), np.array([np.sin(9 * (t - late_s)), t - late_s, 0.0])) for t in seconds
     ]
     assert fidelity._delay(ours, theirs, 1e-3) == pytest.approx(late_s)
+    shifted = [(t, v + np.array([0.006, 0.0, 0.0])) for t, v in theirs]
+    assert fidelity._delay(shifted, theirs, 1e-3) == 0.0
     noise = np.random.default_rng(0).normal(0, 1, (100, 3))
     noisy = [(t, v + n) for (t, v), n in zip(theirs, noise, strict=True)]
     assert fidelity._delay(noisy, theirs, 1e-3) == 0.0
     told = fidelity.Fidelity("velocity", 30, (0.02,), False, late_s=late_s).told
-    assert ("as later by 65 ms" in told) is (late_s > 0)
-    assert ("as earlier by 30 ms" in told) is (late_s < 0)
+    assert ("as if later by 65 ms" in told) is (late_s > 0)
+    assert ("as if earlier by 30 ms" in told) is (late_s < 0)
