@@ -1918,8 +1918,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/choices.py",
-        "scores.setdefault(bisect_right(logged, log_ns) - 1, values)",
-        "scores.setdefault(bisect_right(logged, log_ns), values)",
+        "scores.setdefault(bisect_right(logged, log_ns + SCORE_LATE_NS) - 1, values)",
+        "scores.setdefault(bisect_right(logged, log_ns + SCORE_LATE_NS), values)",
         "tests/recording/test_choices.py",
     ),
     Mutant(
