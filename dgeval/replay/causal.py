@@ -214,7 +214,7 @@ def _controller(trial: Trial, config: Config) -> Controller:
     found = {"recorded": bool(recorded.times), "candidates": bool(recorded.candidates)}
     if not found.get(source, True):
         raise UsageError(
-            f"grasps.source = {source!r}, but in this trial {needed[source]} has nothing to be used",
+            f"grasps.source = {source!r}, but in this trial {needed[source]} has nothing to use",
             Place(str(trial.spec.recording)),
         )
     if source == "recorded":
