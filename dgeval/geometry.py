@@ -112,6 +112,12 @@ def rotation_angle(R: Array) -> float:
     return float(np.linalg.norm(rotation_vector(R)))
 
 
+def pose_distance(T: Array, other: Array) -> tuple[float, float]:
+    """Distance, m, and turn, rad, between two poses (4, 4)."""
+    metres = float(np.linalg.norm(T[:3, 3] - other[:3, 3]))
+    return metres, rotation_angle(T[:3, :3].T @ other[:3, :3])
+
+
 def orthonormalise(T: Array) -> Array:
     """Nearest rigid transform (SVD), so that products of many transforms stay rigid."""
     U, _, Vt = np.linalg.svd(T[:3, :3])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from dgeval.config import ExecutionConfig
-from dgeval.geometry import Array, rotation_angle
+from dgeval.geometry import Array, pose_distance
 
 PAPER_C_E = 0.7  # Table V; of the authors' evaluator
 
@@ -32,8 +32,7 @@ def execute(
     if config.arrived_m is not None:
         if T_base_palm is None:
             return None
-        metres = float(np.linalg.norm(T_base_grasp[:3, 3] - T_base_palm[:3, 3]))
-        turn = rotation_angle(T_base_palm[:3, :3].T @ T_base_grasp[:3, :3])
+        metres, turn = pose_distance(T_base_palm, T_base_grasp)
         if metres > config.arrived_m or np.degrees(turn) > config.arrived_deg:
             return False
     return hand_score > (c_e if config.c_e is None else config.c_e)

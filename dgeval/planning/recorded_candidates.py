@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dgeval.geometry import Array, invert, rotation_angle
+from dgeval.geometry import Array, invert, pose_distance
 from dgeval.perception.types import Model
 from dgeval.planning.carried import Belief
 from dgeval.planning.execution import PAPER_C_E
@@ -54,5 +54,5 @@ class RecordedProposals:
 
 def _is_same(T: Array, other: Array) -> bool:
     """Whether two poses (4, 4) are one."""
-    metres = float(np.linalg.norm(T[:3, 3] - other[:3, 3]))
-    return metres < SAME_M and bool(rotation_angle(T[:3, :3].T @ other[:3, :3]) < SAME_RAD)
+    metres, turn = pose_distance(T, other)
+    return metres < SAME_M and bool(turn < SAME_RAD)

@@ -24,6 +24,7 @@ from dgeval.geometry import (
     Array,
     invert,
     matrix_from_pose,
+    pose_distance,
     rotation_angle,
     transform,
 )
@@ -38,7 +39,7 @@ from dgeval.recording.contract import (
 from dgeval.recording.images import decode_image
 from dgeval.recording.trials import Trial
 from dgeval.replay.causal import Step, grasp_source, recorded_decisions, replay
-from dgeval.replay.own_inputs import OwnInputs, pose_error, twist_error
+from dgeval.replay.own_inputs import OwnInputs, twist_error
 from dgeval.replay.replayed import Replayed
 from dgeval.replay.target_search import FoundTarget
 
@@ -245,7 +246,7 @@ class Compared:
         choice, recorded = control.grasps.choice, self._choices
         grasp, score = recorded.grasp_at(t_ns), recorded.hand_scores.at(t_ns)
         if grasp is not None:
-            errors = pose_error(choice.T_base_palm, grasp)
+            errors = pose_distance(choice.T_base_palm, grasp)
             self._errors["grasp"].append((t_ns, errors))
             if any(e > b.most for e, b in zip(errors, BOUNDS["grasp"], strict=True)):
                 score = None  # of the hand with the fingers of another grasp

@@ -13,7 +13,7 @@ from collections import defaultdict
 import numpy as np
 
 from dgeval.config import Config
-from dgeval.geometry import Array, invert, rotation_angle, transform
+from dgeval.geometry import Array, invert, pose_distance, transform
 from dgeval.perception.estimation import VelocityFilter
 from dgeval.planning.carried import Belief
 from dgeval.planning.control import Control, Controller, HandState
@@ -102,7 +102,9 @@ class OwnInputs:
             choice = None if control.grasps is None else control.grasps.choice
             theirs = self._choices.grasp_at(control.t_ns)
             if choice is not None and theirs is not None:
-                self.errors["grasp"].append((control.t_ns, pose_error(choice.T_base_palm, theirs)))
+                self.errors["grasp"].append(
+                    (control.t_ns, pose_distance(choice.T_base_palm, theirs))
+                )
         if self.decided_ns is None:
             self.decided_ns = next((c.t_ns for c in out if c.execute), None)
         return out
@@ -119,12 +121,6 @@ class OwnInputs:
             assert step.T_base_camera is not None
             T_model_base = invert(step.T_base_camera @ T)
             self._feature = transform(T_model_base, estimate.position[None])[0]
-
-
-def pose_error(T: Array, other: Array) -> tuple[float, float]:
-    """Distance, m, and turn, rad, between two poses (4, 4)."""
-    metres = float(np.linalg.norm(T[:3, 3] - other[:3, 3]))
-    return metres, float(rotation_angle(T[:3, :3].T @ other[:3, :3]))
 
 
 def twist_error(control: Control, command: Array) -> float:

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from dgeval.config import GraspsConfig
-from dgeval.geometry import Array, invert, rotation_angle, transform
+from dgeval.geometry import Array, invert, pose_distance, transform
 from dgeval.planning.execution import PAPER_C_E
 from dgeval.planning.grasps import Networks
 from dgeval.planning.proposals import Proposals, drawn_proposals
@@ -84,8 +84,7 @@ def analytic_score(
     """Score of a palm pose: its nearness to a grasp that is known to hold, times that one's
     quality.
     """
-    d = float(np.linalg.norm(T_base_palm[:3, 3] - T_base_grasp[:3, 3]))
-    angle = rotation_angle(T_base_palm[:3, :3].T @ T_base_grasp[:3, :3])
+    d, angle = pose_distance(T_base_palm, T_base_grasp)
     return float(
         (0.5 + 0.5 * quality)
         * np.exp(-0.5 * (d / c.position) ** 2 - 0.5 * (angle / np.radians(c.angle)) ** 2)
