@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 WALK = PAGE.split("## From `dgeval replay`")[1]
@@ -54,8 +56,20 @@ def test_no_verdict_reads_a_truth_topic_or_imports_by_name() -> None:
             assert "__import__" not in code, path
 
 
-def test_a_replay_that_asks_no_network_does_not_load_torch() -> None:
-    """Catches an import at the top of a module that costs every command seconds."""
-    code = "import sys, dgeval.runs.trial_job; print('torch' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
+@pytest.mark.slow
+def test_a_replay_that_asks_no_network_does_not_load_torch(demo: Path, tmp_path: Path) -> None:
+    """Catches an import at the top of a module that costs every command seconds.
+
+    Trackers and other parts are found by loading every file of their folder, so only a whole run
+    shows it.
+    """
+    code = (
+        "import sys, dgeval.cli\n"
+        f"sys.argv = ['dgeval', 'replay', {str(demo)!r}, '--frames', '0:5', '--no-review',"
+        f" '--out', {str(tmp_path / 'run')!r}]\n"
+        "try:\n    dgeval.cli.main()\nexcept SystemExit as end:\n    assert not end.code\n"
+        "print('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "False"

@@ -13,6 +13,7 @@ import pytest
 from dgeval.config import load_config
 from dgeval.errors import UsageError
 from dgeval.geometry import Box
+from dgeval.networks import transt_loop
 from dgeval.networks.transt_loop import Sighting
 from dgeval.perception.trackers import transt as stage
 from dgeval.perception.trackers.model import TrackingInput
@@ -52,7 +53,7 @@ class Knowing:
 @pytest.fixture(autouse=True)
 def knowing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(stage, "transt_of", lambda weights: weights)
-    monkeypatch.setattr(stage, "TransTLoop", Knowing)
+    monkeypatch.setattr(transt_loop, "TransTLoop", Knowing)
     yield
     Knowing.has_mask = True
 

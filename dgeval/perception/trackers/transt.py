@@ -10,13 +10,11 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dgeval.config import Config
-from dgeval.networks.checkpoints import version_of
-from dgeval.networks.transt import TransT, load_transt
-from dgeval.networks.transt_loop import Sighting, TransTLoop
 from dgeval.perception import segmentation
 from dgeval.perception.boxes import visible
 from dgeval.perception.trackers.model import TrackingInput
@@ -24,16 +22,25 @@ from dgeval.perception.trackers.recorded import RecordedTracker
 from dgeval.perception.types import Tracked
 from dgeval.recording.frame import Frame, MarkedThing
 
+# every tracker's file is loaded to be found by its name; torch, which takes seconds, is not
+if TYPE_CHECKING:
+    from dgeval.networks.transt import TransT
+    from dgeval.networks.transt_loop import Sighting
+
 TARGET = "target"  # name of the only thing that the network marks
 
 
 def transt_of(weights: str) -> TransT:
     """The network of a file of weights, read once. UsageError if it doesn't fit."""
+    from dgeval.networks.checkpoints import version_of
+
     return _read(weights, version_of(Path(weights)))
 
 
 @cache
 def _read(weights: str, _: tuple[int, int]) -> TransT:
+    from dgeval.networks.transt import load_transt
+
     return load_transt(Path(weights))
 
 
@@ -48,6 +55,8 @@ class TransTTracker:
         self.reset()
 
     def reset(self) -> None:
+        from dgeval.networks.transt_loop import TransTLoop
+
         c = self.config.tracking
         self._loop = TransTLoop(self._network, c.window_weight, c.update_iou, c.lost_below)
         self._marked.reset()
