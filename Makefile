@@ -49,6 +49,7 @@ soak: setup
 	$(BIN)/python tests/soak/damage_campaign.py --out reports/damage.md
 	$(BIN)/python -m tests.soak.mutated_messages
 	$(BIN)/python tests/soak/mutants.py
+	DGEVAL_DRAWS=3 $(BIN)/python -m pytest tests/verdict/test_verdict.py -n 2
 	$(BIN)/dgeval simulate conveyor --out runs/conveyor --jobs 2
 	$(BIN)/dgeval replay runs/conveyor/conveyor.toml --out runs/conveyor/replay --no-review --jobs 2
 	$(BIN)/python -m benchmarks.truth runs/conveyor/replay runs/conveyor/conveyor.toml

@@ -24,6 +24,7 @@ GREY = frozenset({"mono8", "8UC1"})
 STILL = 1e-4  # m and parts of a quaternion, by which a transform that moves changes at least; ours
 STEREO = ("infra", "left", "right")
 ALIGNED = ("aligned", "registered", "to_color", "to_colour", "to_rgb")
+ALIGNED_TO_COLOUR = ("registered", "to_color", "to_colour", "to_rgb")
 
 
 def _has(name: str, *parts: str) -> bool:
@@ -71,6 +72,16 @@ def is_aligned(colour: ImageHead, depth: ImageHead) -> bool:
     """Whether depth has the colour camera's pixels: its frame, as far as both say one, and size."""
     one_frame = not colour.frame_id or not depth.frame_id or colour.frame_id == depth.frame_id
     return one_frame and (colour.width, colour.height) == (depth.width, depth.height)
+
+
+def is_aligned_by_name(scan: Scan, colour: ImageHead, depth: ImageHead, topic: str) -> bool:
+    """Whether a depth topic's name says that it is aligned, and its frame, which nothing places,
+    says nothing: some drivers give aligned depth a frame of its own that they never publish.
+    """
+    placed = _parents(scan)
+    known = placed.keys() | {parent for parent, _ in placed.values()}
+    same_size = (colour.width, colour.height) == (depth.width, depth.height)
+    return same_size and _has(topic, *ALIGNED_TO_COLOUR) and depth.frame_id not in known
 
 
 def choose_camera(

@@ -24,9 +24,10 @@ ONE_CLOCK_S = 0.5  # s, within which all topics must agree on that; ours
 class StampFaults:
     """Counts of wrong stamps over one image topic.
 
-    zero: the log time is used instead. backward: out of order with the most others, duplicate:
-    equal to another; the message is not used. jump: forward by more than `sync.jump_s`, late:
-    logged after messages with later stamps, as over a bad network; the message is used.
+    zero: the log time is used instead. backward: below those of messages before it, ahead: above
+    those of messages after it, duplicate: equal to another; the message is not used. jump: forward
+    by more than `sync.jump_s`, late: logged after messages with later stamps, as over a bad
+    network; the message is used.
     """
 
     zero: int
@@ -34,10 +35,11 @@ class StampFaults:
     duplicate: int
     jump: int
     late: int = 0
+    ahead: int = 0
 
     @property
     def dropped(self) -> int:
-        return self.backward + self.duplicate
+        return self.backward + self.ahead + self.duplicate
 
 
 def clean_stamps(
@@ -54,15 +56,21 @@ def clean_stamps(
     keep = sorted([*keep, *late], key=lambda i: stamps[i])
     kept = set(keep)
     values = {int(stamps[i]) for i in keep}
-    backward = duplicate = 0
+    backward = ahead = duplicate = highest = 0
     for i, t in enumerate(stamps.tolist()):
-        if i not in kept:
-            duplicate += t in values
-            backward += t not in values
+        if i in kept:
+            highest = max(highest, t)
+        elif t in values:
+            duplicate += 1
+        elif t > highest:
+            ahead += 1
+        else:
+            backward += 1
     ordinals = np.array(keep, dtype=np.int64)
     used = stamps[ordinals]
     jump = int((np.diff(used) > jump_ns).sum()) if len(used) > 1 else 0
-    return used, ordinals, StampFaults(int(zero.sum()), backward, duplicate, jump, len(late))
+    faults = StampFaults(int(zero.sum()), backward, duplicate, jump, len(late), ahead)
+    return used, ordinals, faults
 
 
 def _logged_late(stamps: Ints, log_ns: Ints, keep: list[int]) -> list[int]:

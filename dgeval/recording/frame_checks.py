@@ -229,6 +229,12 @@ def _told(reader: FrameReader, is_integer: bool, clock: ClockConfig, c: Correcti
         way = "later" if ns > 0 else "earlier"
         fits = f"pictures taken {abs(ns) * 1e-6:.0f} ms {way} than they are stamped"
         return _Told("clocks", fits, mend + "much the other way")
+    if c.depth_later_s != 0.0:
+        ns = round(c.depth_later_s * 1e9)
+        way = "later" if ns > 0 else "earlier"
+        fits = f"depth taken {abs(ns) * 1e-6:.0f} ms {way} than it is stamped, colour as it is"
+        mend = f"set clock.depth.offset_ns={ns + clock.depth.offset_ns}"
+        return _Told("clocks", fits, mend)
     offset_m = reader.camera.depth_offset_m + c.farther_m
     way = "farther away" if c.farther_m > 0 else "nearer"
     mend = f"calibrate the depth camera, or --set calibration.depth_offset_m={offset_m:g}"
@@ -249,8 +255,8 @@ def _must_be_told(c: Correction, share: float) -> bool:
     A turn and a middle have numbers enough to fit, by chance, what a person's hand holds: what they
     explain fails where nothing that is right shows as much.
     """
-    if c.later_s != 0.0:
-        return abs(c.later_s) >= MUST_TELL_S - 1e-9
+    if c.later_s != 0.0 or c.depth_later_s != 0.0:
+        return max(abs(c.later_s), abs(c.depth_later_s)) >= MUST_TELL_S - 1e-9
     return share > CONTRADICTS or not (any(c.turned) or any(c.principal))
 
 

@@ -180,6 +180,7 @@ def _timing(scanned: Scan, roles: Roles, config: Config) -> dict[str, Any]:
             "used": len(stamps),
             "zero": faults.zero,
             "backward": faults.backward,
+            "ahead": faults.ahead,
             "duplicate": faults.duplicate,
             "jump": faults.jump,
         }

@@ -134,8 +134,11 @@ def stamp_notes(faults: dict[str, StampFaults]) -> list[str]:
     put = [f"{' and '.join(late)} images were logged late, and are put in order"] if late else []
     if not any(f.dropped or f.zero for f in faults.values()):
         return put
+    kinds = ("zero", "backward", "ahead", "duplicate")
     counted = ", ".join(
-        f"{role} {f.zero} zero, {f.backward} backward, {f.duplicate} duplicate"
+        f"{count} {kind} in {role}"
         for role, f in sorted(faults.items())
+        for kind in kinds
+        if (count := getattr(f, kind))
     )
     return [f"stamps: {counted}", *put]

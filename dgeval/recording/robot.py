@@ -23,7 +23,7 @@ from dgeval.recording.joint_names import as_described
 from dgeval.recording.messages import JointSample
 from dgeval.recording.namespaces import Series, differ, holds, home_of, namespace_of, of_camera
 from dgeval.recording.palm import palm_of
-from dgeval.recording.roles import Roles, joint_topics, merged_joints
+from dgeval.recording.roles import Roles, joint_notes, joint_topics, merged_joints
 from dgeval.recording.scan import Scan, Transforms
 from dgeval.recording.transforms import TransformTree
 from dgeval.robots.described_hand import CLOSE_S, described_hand
@@ -255,8 +255,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     used, joints_mixed = joint_topics(scan, roles, config.frames.namespace)
     samples = merged_joints(scan, used)
     joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)
-    if len(used) > 1:
-        notes.append(f"joint states are merged from {', '.join(used)}")
+    notes.extend(joint_notes(scan, used))
     for topic in used:
         header, _ = scan.times[topic].arrays()
         if len(header) and not header.any():

@@ -10,10 +10,12 @@ import numpy as np
 from dgeval.config import RolesConfig
 from dgeval.errors import Place, UnreadableError, UsageError
 from dgeval.recording.cameras import (
+    COLOUR_ENCODINGS,
     choose_camera,
     depth_topics,
     intrinsics_of,
     is_aligned,
+    is_aligned_by_name,
     other_camera,
 )
 from dgeval.recording.contract import DGEVAL_PREFIX, MASK_TOPIC, TRUTH_PREFIX
@@ -29,6 +31,8 @@ SAME_JOINT = 0.02  # rad or m; two topics that differ by less give one joint's p
 NO_TARGET_MASK = ("valid", "self", "robot", "arm_mask", "confidence", "filter")
 SAME_SHAPE = 0.01  # share; a mask whose sides have the picture's ratio within this shows all of it
 MASK_ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1")
+# parts of a topic's name that say that its joint states were wanted, not measured
+WANTED = ("desired", "command", "cmd", "target", "reference", "setpoint", "goal")
 # parts of a topic's name that rule it out as the camera or a state of the robot
 NOT_A_CAMERA = (DGEVAL_PREFIX, TRUTH_PREFIX, "mask", "debug", "annotated", "detection")
 
@@ -97,6 +101,11 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
                 f"the camera is {colour} ({heads[colour].frame_id}); {other} "
                 f"({heads[other].frame_id}) could be it too (roles.colour, roles.depth)"
             )
+        if aligned(scan, colour, depth) and not is_aligned(heads[colour], heads[depth]):
+            notes.append(
+                f"{depth} is taken as aligned to colour by its name: nothing places its frame "
+                f"{heads[depth].frame_id!r}"
+            )
     intrinsics = config.intrinsics
     if intrinsics is None and colour is not None:
         intrinsics = intrinsics_of(scan, heads, colour)
@@ -105,7 +114,13 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
         depth_intrinsics = intrinsics_of(scan, heads, depth)
     joints = sorted(
         (n for n in scan.joints if used(n)),
-        key=lambda n: (not _has(n, "joint_states"), n.count("/"), -_count(scan, n), n),
+        key=lambda n: (
+            _has(n, *WANTED),
+            not _has(n, "joint_states"),
+            n.count("/"),
+            -_count(scan, n),
+            n,
+        ),
     )
     if config.hand_joints is not None:
         joints = [config.hand_joints]
@@ -165,7 +180,8 @@ def aligned(scan: Scan, colour: str, depth: str) -> bool:
     """
     if colour not in scan.images or depth not in scan.images:
         return True
-    if not is_aligned(scan.images[colour], scan.images[depth]):
+    c, d = scan.images[colour], scan.images[depth]
+    if not is_aligned(c, d) and not is_aligned_by_name(scan, c, d, depth):
         return False
     own = [intrinsics_of(scan, scan.images, name) for name in (colour, depth)]
     if None in own or own[0] == own[1]:
@@ -214,6 +230,16 @@ def joint_topics(
     return tuple(t for t in roles.joints if namespace_of(t) in counts), mixed
 
 
+def joint_owners(scan: Scan, topics: tuple[str, ...]) -> dict[str, str]:
+    """By joint, the first of the topics that gives it."""
+    owner: dict[str, str] = {}
+    for topic in topics:
+        for sample in scan.joints.get(topic, []):
+            for name in sample.positions.keys() | sample.efforts.keys():
+                owner.setdefault(name, topic)
+    return owner
+
+
 def merged_joints(scan: Scan, topics: tuple[str, ...]) -> list[JointSample]:
     """The samples of several topics of joint states, in time order.
 
@@ -221,11 +247,7 @@ def merged_joints(scan: Scan, topics: tuple[str, ...]) -> list[JointSample]:
     """
     if len(topics) == 1:
         return list(scan.joints.get(topics[0], []))
-    owner: dict[str, str] = {}
-    for topic in topics:
-        for sample in scan.joints.get(topic, []):
-            for name in sample.positions.keys() | sample.efforts.keys():
-                owner.setdefault(name, topic)
+    owner = joint_owners(scan, topics)
     out = []
     for topic in topics:
         for s in scan.joints.get(topic, []):
@@ -234,6 +256,21 @@ def merged_joints(scan: Scan, topics: tuple[str, ...]) -> list[JointSample]:
             if positions or efforts:
                 out.append(JointSample(s.t_ns, positions, efforts))
     return sorted(out, key=lambda s: s.t_ns)
+
+
+def joint_notes(scan: Scan, topics: tuple[str, ...]) -> list[str]:
+    """What is said of the topics of joint states that are used: that several are, and of joints
+    that are known only as they were wanted.
+    """
+    owner = joint_owners(scan, topics)
+    sources = [t for t in topics if t in owner.values()]
+    merged = f"joint states are merged from {', '.join(sources)}"
+    return [merged] * (len(sources) > 1) + [
+        f"{', '.join(n for n in sorted(owner) if owner[n] == topic)}: as wanted ({topic}); "
+        "measured positions are not recorded"
+        for topic in sources
+        if _has(topic, *WANTED)
+    ]
 
 
 def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
@@ -259,6 +296,8 @@ def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
     lost = f" after damage ({damage[0].what})" if damage else ""
     unread = [f"{t.name}: {t.unread}" for t in topics if t.unread]
     unread += [f"{n}: {_why_unread(h)}" for n, h in scan.images.items() if h.encoding == "?"]
+    if roles.depth is None:
+        unread += [f"{n}: {why}" for n in sorted(scan.opened.topics) if (why := _no_depth(scan, n))]
     told = f"; not understood: {'; '.join(unread)}" if unread else ""
     usable = [n for n, h in scan.images.items() if h.encoding != "?"]
     hint = "name it with --set roles.colour=… or roles.depth=…" if len(usable) > 1 else None
@@ -266,6 +305,22 @@ def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
         sure = ", ".join(sorted(DEPTH_ENCODINGS - {"mono16"}))
         hint = f"none holds depth ({sure}, or mono16 under a name with depth): record it"
     raise UnreadableError(f"no {missing} images found{lost} among: {listed}{told}", place, hint)
+
+
+def _no_depth(scan: Scan, topic: str) -> str:
+    """Why a topic that seems to hold depth is not read as depth; "" for others."""
+    if topic.startswith((DGEVAL_PREFIX, TRUTH_PREFIX)):
+        return ""
+    if scan.opened.topics[topic].type == "sensor_msgs/msg/PointCloud2":
+        return "a cloud, and only depth images are read"
+    head = scan.images.get(topic)
+    if head is not None and head.encoding in COLOUR_ENCODINGS and _has(topic, "depth"):
+        form = f"{head.format} " if head.format else ""
+        return (
+            f"{form}pictures of 8 bits ({head.encoding}), which can't hold depth: record "
+            "…/compressedDepth, or raw"
+        )
+    return ""
 
 
 def _why_unread(head: ImageHead) -> str:

@@ -13,8 +13,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize
 
-from dgeval.geometry import Array
-from dgeval.recording.scene_motion import LEAST_STEPS, Correction, SceneStep, seeming_motion
+from dgeval.geometry import Array, invert, transform
+from dgeval.recording.scene_motion import (
+    LEAST_LEFT,
+    LEAST_STEPS,
+    Correction,
+    SceneStep,
+    seeming_motion,
+)
 
 # from which share on corrections are tried, the share that is left at most where one explains what
 # is seen, and how many times better it fits; ours
@@ -46,7 +52,8 @@ def corrections(
     """
     if seeming <= SUSPECT:
         return []
-    found = [*_by_depth_or_focal(steps), _later(steps, pose_at)]
+    found = [*_by_depth_or_focal(steps)]
+    found += [_later(steps, pose_at, _with_pictures), _later(steps, pose_at, _with_depth)]
     found += [_searched(steps, 2, _with_principal), _searched(steps, 3, _with_turn)]
     explains = min(EXPLAINED, seeming / TIMES_BETTER)
     listed = sorted((f for f in found if f[0] <= explains and _is_other(f[1])), key=lambda f: f[0])
@@ -78,22 +85,54 @@ def _by_depth_or_focal(steps: Sequence[SceneStep]) -> list[tuple[float, Correcti
 
 
 def _later(
-    steps: Sequence[SceneStep], pose_at: Callable[[int], Array | None]
+    steps: Sequence[SceneStep],
+    pose_at: Callable[[int], Array | None],
+    made: Callable[[SceneStep, Array, Array, float], tuple[SceneStep, Correction]],
 ) -> tuple[float, Correction]:
-    """The best of LATER_S at which the camera's pose is known in all steps but one."""
+    """The best of LATER_S at which the camera's pose is known in all steps but one.
+
+    made: the step and the correction, by the camera's poses at that time and by how much it is.
+    """
     found = np.inf, Correction()
     for later_s in LATER_S:
         moved = []
         for step in steps:
             T_a, T_b = (pose_at(t + round(later_s * 1e9)) for t in (step.t_a_ns, step.t_b_ns))
             if T_a is not None and T_b is not None:
-                moved.append(replace(step, T_base_a=T_a, T_base_b=T_b))
+                moved.append(made(step, T_a, T_b, float(later_s)))
         if len(moved) < max(LEAST_STEPS, len(steps) - 1):
             continue
-        left = _left(moved, Correction())
+        left = _left([step for step, _ in moved], Correction())
         if left < found[0]:
-            found = left, Correction(later_s=float(later_s))
+            found = left, moved[0][1]
     return found
+
+
+def _with_pictures(
+    step: SceneStep, T_a: Array, T_b: Array, later_s: float
+) -> tuple[SceneStep, Correction]:
+    """The robot was there when the pictures were taken."""
+    return replace(step, T_base_a=T_a, T_base_b=T_b), Correction(later_s=later_s)
+
+
+def _with_depth(
+    step: SceneStep, T_a: Array, T_b: Array, later_s: float
+) -> tuple[SceneStep, Correction]:
+    """The robot was there when depth was taken: what it measures lies across the view, so that the
+    camera's way along its view is what the depth of a pixel lacks.
+    """
+    a = _along_view(step.a, invert(step.T_base_a) @ T_a)
+    b = _along_view(step.b, invert(step.T_base_b) @ T_b)
+    return replace(step, a=a, b=b), Correction(depth_later_s=later_s)
+
+
+def _along_view(points: Array, T_camera_then: Array) -> Array:
+    """Points (n, 3) m, each on its ray as far as it is along the view from where depth was taken.
+
+    T_camera_then (4, 4): the camera's pose when depth was taken, in the camera's frame of colour.
+    """
+    depth = transform(T_camera_then, points)[:, 2:]
+    return points / points[:, 2:] * np.maximum(depth, LEAST_LEFT * points[:, 2:])
 
 
 def _with_principal(x: Array) -> Correction:
@@ -138,7 +177,7 @@ def _is_other(c: Correction) -> bool:
     return bool(
         share >= LEAST_FACTOR
         or abs(c.farther_m) >= LEAST_FARTHER_M
-        or abs(c.later_s) >= LEAST_LATER_S - 1e-9
+        or max(abs(c.later_s), abs(c.depth_later_s)) >= LEAST_LATER_S - 1e-9
         or LEAST_PRINCIPAL <= np.hypot(*c.principal) <= MOST_PRINCIPAL
         or LEAST_TURN <= turn <= MOST_TURN
     )

@@ -52,7 +52,7 @@ class Correction:
     are `focal` times as large. principal (2,): the principal point is farther right and down, in
     focal lengths. turned (3,) rad: the camera's pose is T_base_camera followed by this rotation
     vector, in the camera's frame. later_s: the robot was where the pictures were taken this much
-    after their stamps.
+    after their stamps. depth_later_s: depth alone was taken this much after its stamps.
     """
 
     factor: float = 1.0
@@ -61,6 +61,7 @@ class Correction:
     principal: tuple[float, float] = (0.0, 0.0)
     turned: tuple[float, float, float] = (0.0, 0.0, 0.0)
     later_s: float = 0.0
+    depth_later_s: float = 0.0
 
     def of(self, points: Array) -> Array:
         """Points (n, 3) m of the camera's frame, each where it would be. Poses are apart."""

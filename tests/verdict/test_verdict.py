@@ -4,6 +4,7 @@ tables that don't add up.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -45,6 +46,8 @@ from scipy.spatial.transform import Rotation
 ROOT = Path(__file__).resolve().parents[2]
 SMOKE = ROOT / "datasets" / "ci-smoke"
 Run = Callable[..., object]
+# of what a log leaves open, in a test that takes a close apart by physics; `make soak` draws three
+DRAWS = int(os.environ.get("DGEVAL_DRAWS", "1"))
 
 
 def modelled(run: Simulated, world: World) -> Scene:
@@ -207,7 +210,7 @@ def test_cloud_without_volume_is_refused() -> None:
 # the twin on constructed cases
 
 
-def decided(scene: Scene, draws: int = 3, method: str = "twin") -> Decision:
+def decided(scene: Scene, draws: int = DRAWS, method: str = "twin") -> Decision:
     """The decision of a scene whose cloud makes a solid."""
     decision = decide_scene(scene, method, draws, 0, 0.0)
     assert isinstance(decision, Decision)
@@ -223,7 +226,7 @@ def verdict_on(
     faults: Faults,
     thing: str = "sugar_box",
     method: str = "twin",
-    draws: int = 3,
+    draws: int = DRAWS,
 ) -> tuple[str | None, Decision]:
     """What is true of a constructed trial, and what the verdict says of it."""
     from dgeval.simulation.truth import prove

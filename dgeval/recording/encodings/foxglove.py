@@ -1,13 +1,16 @@
 """Foxglove's message types, given the fields of the ROS 2 types that mean the same.
 
 They come as protobuf, as JSON, or as ROS messages of the package foxglove_msgs. Field names are
-those of the public schemas; bytes in JSON are base64.
+those of the public schemas; bytes in JSON are base64. JSON may also be protobuf's own: names in
+camelCase, times as RFC 3339 texts, and no fields that are 0 or empty.
 """
 
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Callable
+from datetime import datetime
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,6 +26,8 @@ STANDS_FOR = {
     "JointStates": "sensor_msgs/msg/JointState",
 }
 PACKAGES = ("foxglove.", "foxglove_msgs/msg/")
+# "2027-01-15T08:00:00.123456789Z": to the second, its fraction, the zone
+RFC_3339 = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?(Z|[+-]\d\d:\d\d)")
 
 
 def ros_type(name: str) -> str:
@@ -36,11 +41,43 @@ def ros_type(name: str) -> str:
 def adapted(name: str, decode: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
     """A decoder of a Foxglove type, made to give the fields of the ROS 2 type."""
     adapt = ADAPTERS[next(name[len(p) :] for p in PACKAGES if name.startswith(p))]
-    return lambda data: adapt(decode(data))
+
+    def decoded(data: bytes) -> Any:
+        message = _in_snake_case(decode(data))
+        try:
+            return adapt(message)
+        except AttributeError as error:
+            raise ValueError(f"it has no field {error.name!r}") from error
+
+    return decoded
+
+
+def _in_snake_case(value: Any) -> Any:
+    """An object of JSON with its fields named as in the schemas: `frameId` is `frame_id`."""
+    if isinstance(value, list) and value and isinstance(value[0], SimpleNamespace):
+        return [_in_snake_case(item) for item in value]
+    if not isinstance(value, SimpleNamespace):
+        return value
+    return SimpleNamespace(
+        **{
+            re.sub(r"(?<=[a-z0-9])[A-Z]", lambda m: f"_{m[0].lower()}", name): _in_snake_case(field)
+            for name, field in vars(value).items()
+        }
+    )
 
 
 def _stamp(time: Any) -> SimpleNamespace:
-    """From protobuf (seconds, nanos), JSON (sec, nsec) or ROS (sec, nanosec)."""
+    """From protobuf (seconds, nanos), JSON (sec, nsec, or an RFC 3339 text) or ROS (sec, nanosec).
+
+    ValueError for a text of another form.
+    """
+    if isinstance(time, str):
+        parts = RFC_3339.fullmatch(time)
+        if parts is None:
+            raise ValueError(f"the time {time[:40]!r} is no RFC 3339 time")
+        second = datetime.fromisoformat(parts[1] + parts[3].replace("Z", "+00:00"))
+        fraction = (parts[2] or "").ljust(9, "0")
+        return SimpleNamespace(sec=int(second.timestamp()), nanosec=int(fraction))
     sec = getattr(time, "seconds", None)
     sec = time.sec if sec is None else sec
     for name in ("nanos", "nsec", "nanosec"):
@@ -51,7 +88,7 @@ def _stamp(time: Any) -> SimpleNamespace:
 
 
 def _header(message: Any, frame: str = "frame_id") -> SimpleNamespace:
-    return SimpleNamespace(stamp=_stamp(message.timestamp), frame_id=getattr(message, frame))
+    return SimpleNamespace(stamp=_stamp(message.timestamp), frame_id=getattr(message, frame, ""))
 
 
 def _bytes(data: Any) -> bytes:
@@ -75,16 +112,24 @@ def _camera_calibration(m: Any) -> SimpleNamespace:
         header=_header(m),
         width=int(m.width),
         height=int(m.height),
-        distortion_model=m.distortion_model,
+        distortion_model=getattr(m, "distortion_model", ""),
         **matrices,
     )
+
+
+def _numbers(message: Any, names: str) -> SimpleNamespace:
+    """Components of a vector or quaternion; one that is left out is 0, and so are all of None."""
+    return SimpleNamespace(**{name: float(getattr(message, name, 0.0)) for name in names})
 
 
 def _transform(m: Any) -> SimpleNamespace:
     return SimpleNamespace(
         header=_header(m, "parent_frame_id"),
         child_frame_id=m.child_frame_id,
-        transform=SimpleNamespace(translation=m.translation, rotation=m.rotation),
+        transform=SimpleNamespace(
+            translation=_numbers(getattr(m, "translation", None), "xyz"),
+            rotation=_numbers(m.rotation, "xyzw"),
+        ),
     )
 
 
@@ -93,7 +138,11 @@ def _transforms(m: Any) -> SimpleNamespace:
 
 
 def _pose_in_frame(m: Any) -> SimpleNamespace:
-    return SimpleNamespace(header=_header(m), pose=m.pose)
+    pose = SimpleNamespace(
+        position=_numbers(getattr(m.pose, "position", None), "xyz"),
+        orientation=_numbers(m.pose.orientation, "xyzw"),
+    )
+    return SimpleNamespace(header=_header(m), pose=pose)
 
 
 def _joint_states(m: Any) -> SimpleNamespace:

@@ -1,4 +1,4 @@
-"""sensor_msgs/CompressedImage with JPEG or PNG inside, colour or 16-bit depth."""
+"""sensor_msgs/CompressedImage with JPEG, PNG, WebP or AVIF inside, colour or 16-bit depth."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from dgeval.recording.image_codecs.pixels import Pixels, eight_bit
 
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 PNG_START = b"\x89PNG\r\n\x1a\n"
+WEBP, AVIF = b"WEBP", b"ftypavif"  # from the 8th and from the 4th byte on
 
 
 ORDER = 30  # kinds with a lower number are asked first
@@ -30,8 +31,9 @@ def decode(message: Any) -> Pixels:
     if data.startswith(JPEG_START):
         if JPEG_END not in data[-64:]:
             raise ValueError("the JPEG is cut: no end marker")
-    elif not data.startswith(PNG_START):
-        raise ValueError(f"format {message.format!r}: the bytes are neither JPEG nor PNG")
+    elif not (data.startswith(PNG_START) or data[8:12] == WEBP or data[4:12] == AVIF):
+        what = "the bytes are neither JPEG, PNG, WebP nor AVIF"
+        raise ValueError(f"format {message.format!r}: {what}")
     array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if array is None:
         raise ValueError(f"format {message.format!r}: the image can't be decoded")
