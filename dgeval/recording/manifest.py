@@ -20,6 +20,7 @@ from dgeval.recording.contract import (
     TRIAL_START_EVENT,
     label_of,
 )
+from dgeval.recording.copies import holds_a_recording, repeats
 from dgeval.recording.events import heard_once
 from dgeval.recording.messages import Event, event_of
 from dgeval.recording.pauses import between_pauses
@@ -80,7 +81,8 @@ class TrialSpec:
     lift_after_s: likewise, s after the first frame. sha256: of the
     recording, as the manifest says. parts: the files of a recording that was split, in order.
     window_is_log_time: start and end are of messages without a time of their own, as logged.
-    is_between_pauses: start and end are pauses of the recorder, and nobody's word.
+    is_between_pauses: start and end are pauses of the recorder, and nobody's word. repeats: of a
+    file that is no recording of its own, what it is.
     """
 
     id: str
@@ -103,6 +105,7 @@ class TrialSpec:
     parts: tuple[Path, ...] = ()
     window_is_log_time: bool = False
     is_between_pauses: bool = False
+    repeats: str = ""
 
 
 def find_trials(paths: list[Path], events_topic: str | None = None) -> list[TrialSpec]:
@@ -111,13 +114,16 @@ def find_trials(paths: list[Path], events_topic: str | None = None) -> list[Tria
     UsageError, UnreadableError.
     """
     specs: list[TrialSpec] = []
+    by_manifest: set[Path] = set()  # which says by itself what is a trial
     for parts in split_recordings(paths):
         path = parts[0]
         if len(parts) > 1:
             name = path.stem[: -len("_0")]
             specs.extend(_of_recording(path, name, events_topic, parts))
         elif path.suffix == ".toml":
-            specs.extend(_from_manifest(path))
+            listed = _from_manifest(path)
+            by_manifest |= {spec.recording for spec in listed}
+            specs.extend(listed)
         elif path.is_dir() and not _is_recording(path):
             specs.extend(_in_folder(path, events_topic))
         else:
@@ -126,6 +132,9 @@ def find_trials(paths: list[Path], events_topic: str | None = None) -> list[Tria
                     path, path.stem if path.suffix in SUFFIXES else path.name, events_topic
                 )
             )
+    whole = [s.recording for s in specs if s.recording not in by_manifest and not s.parts]
+    repeated = repeats(list(dict.fromkeys(whole)))
+    specs = [replace(s, repeats=repeated.get(s.recording, "")) for s in specs]
     ids = [s.id for s in specs]
     twice = sorted({i for i in ids if ids.count(i) > 1})
     if twice:
@@ -177,6 +186,8 @@ def _is_recording(path: Path) -> bool:
     if path.suffix in SUFFIXES or path.suffixes[-2:] in ([".bag", ".active"],):
         return True
     if path.suffix in (*PACKED, *NOT_READ) and Path(path.stem).suffix in SUFFIXES:
+        return True
+    if holds_a_recording(path, SUFFIXES):
         return True
     if not path.is_file() or path.suffix in NO_RECORDING:
         return False

@@ -130,6 +130,9 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     configuration is that of its scenario. UnreadableError, UsageError.
     """
     place, config = Place(str(spec.recording)), config.of_scenario(spec.scenario)
+    if spec.repeats:
+        hint = "take it away, or name the trials in a manifest"
+        raise UnreadableError(f"it is {spec.repeats}, and would count twice", place, hint)
     opened = open_container(spec.recording, spec.parts)
     if sha256 is None:
         sha256 = sha256_of(spec.recording, spec.parts)

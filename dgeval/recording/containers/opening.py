@@ -22,6 +22,7 @@ from dgeval.recording.containers.container import (
 )
 
 BAG_MAGIC = b"#ROSBAG V"
+ZIP_MAGIC, TAR_MAGIC = b"PK\x03\x04", b"ustar"  # tar's from the 257th byte on
 GZIP_MAGIC = b"\x1f\x8b"
 PACKED = (".zstd", ".zst", ".gz")  # behind a name: the file is compressed as a whole
 STORED = (".mcap", ".db3")  # what a ROS 2 folder holds, also with .zstd behind it
@@ -132,9 +133,12 @@ def _file(path: Path) -> Container:
 
     place = Place(str(path))
     with path.open("rb") as stream:
-        head = stream.read(16)
+        begin = stream.read(512)
+    head = begin[:16]
     if not head:
         raise UnreadableError("the file is empty", place)
+    if head.startswith(ZIP_MAGIC) or begin[257:262] == TAR_MAGIC:
+        raise UnreadableError("an archive", place, "unpack it, and give what is in it")
     if head.startswith((ZSTD_MAGIC, GZIP_MAGIC)):
         return _decompressed(path)
     if head.startswith(MCAP_MAGIC):
@@ -169,7 +173,11 @@ def _decompressed(path: Path) -> Container:
         shutil.rmtree(folder, ignore_errors=True)
         what = f"its {kind} compression is damaged ({describe(error)})"
         raise UnreadableError(what, Place(str(path)), f"{hint} may save a part") from error
-    container = _file(copy)
+    try:
+        container = _file(copy)
+    except UnreadableError as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise UnreadableError(error.what, Place(str(path)), error.hint) from error
     container.path = path
     weakref.finalize(container, shutil.rmtree, folder, ignore_errors=True)
     return container
