@@ -123,7 +123,7 @@ class SyncConfig(Section):
     jump_s: float = Field(5.0, gt=0, description="a forward jump of the stamps to count")
     max_pose_gap_s: float = Field(0.5, gt=0, description="poses farther apart are not interpolated")
     max_unmatched_share: float = Field(
-        0.5, ge=0, le=1, description="of colour frames without depth, before exit code 3"
+        0.5, ge=0, le=1, description="of the rarer pictures without a partner, before exit code 3"
     )
 
 

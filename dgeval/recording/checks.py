@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dgeval.config import ClockConfig
+from dgeval.config import ClockConfig, SyncConfig
 from dgeval.recording.camera_poses import far_from_palm
 from dgeval.recording.check import PART_CHECK, Check
 from dgeval.recording.choices import unplaced, unscored
@@ -335,6 +335,21 @@ def event_checks(
                 )
                 break
     return failed
+
+
+def pair_check(window: Window, sync: SyncConfig) -> list[Check]:
+    """Whether too many pictures have no partner, by the stream that has fewer of them: colour of
+    60 Hz beside depth of 15 Hz loses nothing.
+    """
+    lone = {"colour": window.n_unmatched_colour, "depth": window.n_unmatched_depth}
+    count = {role: n + len(window.pairs) for role, n in lone.items()}
+    rarer = min(count, key=lambda role: count[role])
+    if lone[rarer] <= sync.max_unmatched_share * count[rarer]:
+        return []
+    other = "depth" if rarer == "colour" else "colour"
+    what = f"{lone[rarer]} of {count[rarer]} {rarer} images have no {other} image near enough in "
+    mend = "are both recorded whole, and by one clock? sync.tolerance_s=… takes pictures farther "
+    return [Check("pairs", what + "time", mend + "apart")]
 
 
 def part_check(recording: Path) -> list[Check]:

@@ -286,6 +286,11 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     if tree.parent(camera) is None and roles.camera_pose:
         for pose in scan.poses[roles.camera_pose]:
             tree.add_moving(pose.t_ns + offset, pose.parent or "base", camera, pose.pose)
+    if offset and not (roles.camera_pose or any(scan.tf[ns].moving for ns in counts)):
+        notes.append(
+            "clock.camera_pose.offset_ns moves nothing here: the camera's pose comes from the "
+            "joints (clock.hand_joints.offset_ns)"
+        )
     palm, hands = palm_of(scan, roles, config, tree, camera, description, notes)
     base = config.frames.base
     if base is None and tree.parent(camera) is not None:

@@ -19,6 +19,7 @@ from dgeval.recording.checks import (
     clock_check,
     event_checks,
     failed_checks,
+    pair_check,
     part_check,
     unread_results,
 )
@@ -127,8 +128,19 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     """Read the recording once, find roles, pair images, cut the trial's window out.
 
     sha256: of the recording where the caller knows it; else it is computed here. The trial's
-    configuration is that of its scenario. UnreadableError, UsageError.
+    configuration is that of its scenario. UnreadableError, UsageError: what a part of a split
+    recording lacks stands in the others, and the error says so.
     """
+    try:
+        return _opened(spec, config, sha256)
+    except (UnreadableError, UsageError) as error:
+        alone = spec.recording.exists() and not spec.parts and not spec.repeats
+        for part in part_check(spec.recording) if alone else []:
+            raise type(error)(f"{error.what}: {part.what}", error.place, part.mend) from error
+        raise
+
+
+def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
     place, config = Place(str(spec.recording)), config.of_scenario(spec.scenario)
     if spec.repeats:
         hint = "take it away, or name the trials in a manifest"
@@ -211,6 +223,7 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     )
     close_ns = events.first_ns(CLOSE_EVENT)
     checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock, close_ns)
+    checks += pair_check(window, config.sync)
     if not spec.parts:
         checks += part_check(spec.recording)
     if close.late:

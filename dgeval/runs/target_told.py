@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,8 @@ from dgeval.runs.files import file_name
 
 LEAST_FRAMES = 20  # of a trial, from which on the target must have been measured in one; ours
 LEAST_PATCH_PX = 80.0  # px, of the first patch; a smaller one gives no surface to register; ours
+# the recording's checks whose failing makes every measurement of the target wrong
+SPOILS_DEPTH = ("depth_unit", "depth_offset", "alignment", "intrinsics", "camera_poses")
 LOST_AT_ONCE = 0.95  # share of the frames, in which a target that is lost was never followed; ours
 
 
@@ -87,10 +90,17 @@ def first_seen(step: Step, trial: Trial, target: FoundTarget | None, config: Con
 
 
 def target_checks(
-    counts: FrameCounts, has_box: bool, seen: FirstSeen | None, method: str = ""
+    counts: FrameCounts,
+    has_box: bool,
+    seen: FirstSeen | None,
+    method: str = "",
+    failed_before: Sequence[str] = (),
 ) -> list[Check]:
     """Whether the right thing was followed, as far as a replay tells: it was chosen for a reason,
     large enough, followed in more than its first frames, and measured in at least one.
+
+    failed_before: names of the recording's own checks that failed. Where depth or the camera's
+    poses are wrong, another box mends nothing.
     """
     mend = "give its box with --bbox x0,y0,x1,y1"
     failed = []
@@ -106,6 +116,8 @@ def target_checks(
         mend = (
             "it has a box alone: is it nearer than the camera's least range, or the box beside it?"
         )
+    if causes := [name for name in failed_before if name in SPOILS_DEPTH]:
+        mend = f"mend {' and '.join(causes)} first"
     if method == RECORDED and counts.lost >= counts.frames - 1:
         what = f"of what the log marks the target is followed in none of {counts.frames} frames"
         mend = "is the box on what it marks (--bbox), and roles.target the target's topic?"
@@ -139,5 +151,8 @@ def foretold_target(trial: Trial, config: Config) -> tuple[list[Check], list[str
         followed, measured = counts.frames - counts.lost, counts.frames - counts.predicted
         if seen is not None and measured > 1 and n - followed < LOST_AT_ONCE * n:
             break
-    checks = target_checks(counts, trial.spec.bbox is not None, seen, config.tracking.method)
+    before = [check.name for check in trial.checks]
+    checks = target_checks(
+        counts, trial.spec.bbox is not None, seen, config.tracking.method, before
+    )
     return checks, target_note(trial, target)

@@ -311,14 +311,8 @@ def trial_row(
     spec = trial.spec
     messages = [f"damage: {d}" for d in trial.damage]
     exit_code = EXIT_DATA_LOST if trial.damage else EXIT_OK
-    unmatched = trial.n_unmatched_colour
-    n_colour = unmatched + len(trial.pairs)
-    if unmatched and unmatched / n_colour > config.sync.max_unmatched_share:
-        exit_code = EXIT_DATA_LOST
-        messages.append(
-            f"{unmatched} of {n_colour} colour images have no depth image near enough in time"
-        )
-    of_target = target_checks(counts, spec.bbox is not None, seen, config.tracking.method)
+    before = [check.name for check in trial.checks]
+    of_target = target_checks(counts, spec.bbox is not None, seen, config.tracking.method, before)
     for check in (*trial.checks, *of_target):
         if check.name not in config.checks.accept:
             exit_code = EXIT_DATA_LOST

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import zstandard
 from dgeval.config import Config
-from dgeval.errors import UnreadableError
+from dgeval.errors import UnreadableError, UsageError
 from dgeval.recording.image_codecs import rvl
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
@@ -93,6 +93,8 @@ def test_splits_are_one_recording(
     listed = "\n".join(f"    - path: {n}" for n in names)
     (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  files:\n{listed}\n")
     assert contents(opened(folder)) == original
+    with pytest.raises(UsageError, match=r"no camera intrinsics.*bag_0.mcap beside it is a part"):
+        opened(folder / "bag_1.mcap")  # the first part has the latched topics
 
 
 def test_a_compressed_file_is_read_and_not_left_out(
@@ -351,3 +353,10 @@ def test_an_operators_words(
         if m[1] == EVENTS and json.loads(m[3].data)["event"] == "label":
             m[3] = TYPES["std_msgs/msg/String"](data=written)
     assert log_of(opened(write(tmp_path / "a.mcap", made))).label == label
+
+
+def test_a_clock_setting_that_moves_nothing_says_so(demo: Path) -> None:
+    """Catches an offset that a user gives in vain: the camera's pose comes from the joints."""
+    given = opened(demo, "clock.camera_pose.offset_ns=60000000")
+    assert any("clock.camera_pose.offset_ns moves nothing here" in n for n in given.notes)
+    assert not any("moves nothing" in n for n in opened(demo).notes)

@@ -12,13 +12,14 @@ import pytest
 from dgeval.config import load_config
 from dgeval.errors import Damage, Place, UnreadableError, UsageError
 from dgeval.recording import trials
+from dgeval.recording.checks import pair_check
 from dgeval.recording.choices import accepted_flags, choice_span, recorded_choices
 from dgeval.recording.contract import CLOSE_EVENT, TRIAL_START_EVENT
 from dgeval.recording.events import AFTER_NS, Events, events_within
 from dgeval.recording.frame_reader import LostFrames
 from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.messages import Event, StampedPose
-from dgeval.recording.pairing import Pairing, pair_images, window_of
+from dgeval.recording.pairing import Pairing, Window, pair_images, window_of
 from dgeval.recording.scan import TopicTimes
 from dgeval.runs import workers
 from dgeval.runs.folder import TrialResult
@@ -59,6 +60,25 @@ def test_a_window_by_time_includes_both_ends_and_counts_what_has_no_partner() ->
     assert [p.t_ns for p in window.pairs] == [100, 200]
     assert (window.start_ns, window.end_ns) == (100, 300)
     assert (window.n_unmatched_colour, window.n_unmatched_depth) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("depth_ns", "told"),
+    [
+        (range(0, 4000, 400), ""),  # a quarter of colour's rate loses nothing
+        (range(0, 4000, 100), ""),
+        ([*range(0, 400, 100), *range(450, 4000, 400)], "9 of 13 depth images"),
+        (range(50, 4000, 100), "40 of 40 colour images"),
+    ],
+)
+def test_pictures_without_a_partner_are_lost_by_the_rarer_stream(
+    depth_ns: range, told: str
+) -> None:
+    """Fails where depth of a lower rate is a loss, and where `inspect` foretells less."""
+    made = pairing(list(range(0, 4000, 100)), list(depth_ns), "sync.tolerance_s=1e-8")
+    lone = (len(made.colour_ns) - len(made.pairs), len(made.depth_ns) - len(made.pairs))
+    found = pair_check(Window(0, 4000, made.pairs, *lone, made.faults), CONFIG.sync)
+    assert [told in check.what for check in found] == ([True] if told else [])
 
 
 def test_a_window_by_frames_counts_pairs_and_takes_its_times_from_them() -> None:

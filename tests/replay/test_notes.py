@@ -137,6 +137,14 @@ def test_a_target_that_may_be_the_wrong_thing_fails_a_check(
     assert failed is None or failed in found[0].what
 
 
+def test_another_box_is_no_mend_for_wrong_depth() -> None:
+    counts = FrameCounts(frames=29, predicted=29)
+    (check,) = target_checks(counts, False, None, "", ["stamps", "depth_unit"])
+    assert check.mend == "mend depth_unit first"
+    (check,) = target_checks(counts, False, None, "", ["stamps"])
+    assert "--bbox" in check.mend
+
+
 def test_ffhnet_is_named_with_its_weights() -> None:
     """Catches the shipped weights taken for the published ones, and a departure left out."""
     config = load_config("dynamic", ("grasps.source=ffhnet",))
