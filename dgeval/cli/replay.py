@@ -159,12 +159,13 @@ def _moment(name: str, text: str | None) -> dict[str, Any]:
 
     if text is None:
         return {}
+    hint = "give +3.2, or a stamp in s such as 1800000003.2"
     try:
         value = Decimal(text)
     except InvalidOperation as error:
-        raise UsageError(
-            f"--{name} {text!r} is no time", hint="give +3.2, or a stamp in s such as 1800000003.2"
-        ) from error
+        raise UsageError(f"--{name} {text!r} is no time", hint=hint) from error
+    if not value.is_finite():
+        raise UsageError(f"--{name} {text!r} is no time", hint=hint)
     if text.strip().startswith(("+", "-")) or value < 1_000_000:
         return {f"{name}_after_s": float(value)}
     return {f"{name}_ns": int(value * 1_000_000_000)}

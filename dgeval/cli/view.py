@@ -34,6 +34,10 @@ def view(
     name = file_name(trial)
     file = run / "review" / f"{name}.rrd"
     if not file.is_file():
+        if not (run / "trials" / f"{name}.json").is_file():
+            known = sorted(p.stem for p in (run / "trials").glob("*.json"))
+            hint = f"its trials: {', '.join(known)}" if known else "is it a run's folder?"
+            raise UsageError(f"no trial {trial!r} in this run", Place(str(run)), hint)
         reviews = sorted(p.stem for p in (run / "review").glob("*.rrd"))
         listed = (
             f"reviews here: {', '.join(reviews)}"

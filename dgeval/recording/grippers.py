@@ -41,7 +41,13 @@ PATHS = (
     ("gPO",),
     ("data",),
 )
-NUMBERS = ("std_msgs/msg/Float32", "std_msgs/msg/Float64", "std_msgs/msg/Int32")
+NUMBERS = tuple(
+    f"std_msgs/msg/{kind}{bits}"
+    for kind, sizes in (("Float", (32, 64)), ("Int", (8, 16, 32, 64)), ("UInt", (8, 16, 32, 64)))
+    for bits in sizes
+)
+# yes or no: a command where the topic's last name says so, since a state comes only after it
+BOOL, ORDERS = "std_msgs/msg/Bool", ("close", "open", "grasp", "release")
 CHANGES_BY = 0.10  # share of its range by which a command changes, to be a new one; ours
 SINGLE = 3  # messages of a command topic, up to which each of them is a command by itself; ours
 MOVES_BY = 0.20  # share of the recorded range that a closing motion covers, also of fingers
@@ -125,6 +131,7 @@ def is_gripper_topic(name: str, kind: str) -> bool:
     parts = re.split(r"[/_]", name.lower())
     has_word &= not any(part in NOT_THE_HAND for part in parts)
     known = kind in (*NUMBERS, GOALS) or "ripper" in kind or kind.endswith("GraspActionGoal")
+    known |= kind == BOOL and is_command_topic(name, kind)
     return has_word and known
 
 
@@ -140,7 +147,7 @@ def _last(name: str) -> str:
 
 def is_command_topic(name: str, kind: str) -> bool:
     """Whether a gripper's topic says what it is told, and not where it is."""
-    if kind == GOALS:
+    if kind == GOALS or (kind == BOOL and _last(name) in ORDERS):
         return True
     return any(word in _last(name) for word in COMMAND_WORDS) or any(
         kind.endswith(t) for t in COMMAND_TYPES

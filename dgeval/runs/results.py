@@ -12,6 +12,8 @@ import pandas as pd
 from dgeval.errors import Place, UsageError
 from dgeval.runs.files import file_name
 
+WRITTEN = {"dgeval", "config", "fingerprint", "inputs", "failed"}  # keys of run.json
+
 
 @dataclass(frozen=True)
 class Run:
@@ -39,6 +41,8 @@ def read_run(folder: Path) -> Run:
         about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
         trials = pd.read_parquet(folder / "trials.parquet")
         timings = pd.read_parquet(folder / "timings.parquet")
+        if not (isinstance(about, dict) and about.keys() >= WRITTEN):
+            raise ValueError("run.json is not what a run writes")
     except (OSError, ValueError) as error:
         hint = "run `dgeval replay … --out` first, or again if it was interrupted"
         raise UsageError(

@@ -90,6 +90,12 @@ def test_topics_of_grippers() -> None:
     assert is_effort_topic("/gripper/force")
     assert not is_effort_topic("/force_gripper/width")
     assert is_gripper_topic("/gripper/width", "std_msgs/msg/Float64")
+    for whole in ("UInt8", "Int16", "UInt64"):  # a Robotiq's request is 0 to 255
+        assert is_gripper_topic("/gripper/command", f"std_msgs/msg/{whole}")
+    for order in ("/gripper/close", "/hand/cmd"):
+        assert is_gripper_topic(order, "std_msgs/msg/Bool")
+        assert is_command_topic(order, "std_msgs/msg/Bool")
+    assert not is_gripper_topic("/gripper/is_grasped", "std_msgs/msg/Bool")
     assert is_gripper_topic("/franka_gripper/grasp/goal", "franka_gripper/msg/GraspActionGoal")
     assert not is_gripper_topic("/gripper/image", "sensor_msgs/msg/Image")
     assert not is_gripper_topic("/battery", "std_msgs/msg/Float64")

@@ -284,6 +284,7 @@ def test_json_is_the_only_thing_on_standard_output(dgeval: Run, demo: Path, tmp_
         ("--bbox", "1,2,3"),
         ("--bbox", "9,9,1,1"),
         ("--frames", "5"),
+        ("--close", "nan"),
         ("--frames", "0:9999"),
         ("--set", "traking.method=csrt"),
         ("--pipeline", "vfa"),

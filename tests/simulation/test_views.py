@@ -7,11 +7,13 @@ network.
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -48,7 +50,31 @@ def test_view_names_the_file_or_what_is_there(demo_run: Path, dgeval: Run) -> No
     assert done.stdout.strip().endswith("demo.rrd")
     missing = dgeval("view", demo_run, "nothing")
     assert missing.returncode == 2
-    assert "demo" in missing.stderr
+    assert "no trial 'nothing' in this run; its trials: demo" in missing.stderr
+
+
+def test_a_run_whose_metadata_are_damaged_is_no_internal_error(
+    demo_run: Path, dgeval: Run, tmp_path: Path
+) -> None:
+    for name in ("trials.parquet", "timings.parquet"):
+        (tmp_path / name).symlink_to(demo_run / name)
+    for text in ("[]", "{}", "null"):
+        (tmp_path / "run.json").write_text(text)
+        done = dgeval("report", tmp_path)
+        assert done.returncode == 2
+        assert "not a finished run" in done.stderr
+
+
+def test_names_with_bars_keep_their_columns(demo_run: Path, dgeval: Run, tmp_path: Path) -> None:
+    """Catches a table of report.md that an object's name takes apart."""
+    run = tmp_path / "run"
+    shutil.copytree(demo_run, run)
+    rows = pd.read_parquet(run / "trials.parquet")
+    rows["object"] = "box|red"
+    rows.to_parquet(run / "trials.parquet")
+    assert dgeval("report", run, "--out", tmp_path).returncode == 0
+    page = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "| box\\|red |" in page
 
 
 def test_report_stands_alone_and_tells_the_trial(
