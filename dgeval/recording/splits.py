@@ -7,10 +7,10 @@ numbered too: each part must also begin where the one before ends.
 from __future__ import annotations
 
 import re
-from itertools import pairwise
 from pathlib import Path
 
 from dgeval.errors import UnreadableError
+from dgeval.recording.containers.container import Opened
 from dgeval.recording.containers.opening import open_container
 
 NUMBERED = re.compile(
@@ -60,17 +60,23 @@ def _numbered(paths: list[Path]) -> Numbered:
 
 
 def _follow(files: list[Path]) -> bool:
-    """Whether each file begins within GAP_NS of the end of the one before, with the same topics."""
-    spans, topics = [], []
+    """Whether each file begins within GAP_NS of the end of the one before, with the same topics.
+
+    The first pair that doesn't ends the search: numbered trials are opened no further than that.
+    """
+    before: Opened | None = None
+    end_ns = 0
     for file in files:
         try:
             opened = open_container(file)
-            times = [m.log_ns for m in opened.messages()]
+            span = opened.span_ns()
         except UnreadableError:
             return False
-        if not times:
+        if span is None:
             return False
-        spans.append((min(times), max(times)))
-        topics.append(opened.topics.keys())
-    one_robot = all(a & b for a, b in pairwise(topics))
-    return one_robot and all(0 <= b[0] - a[1] < GAP_NS for a, b in pairwise(spans))
+        if before is not None and (
+            not before.topics.keys() & opened.topics.keys() or not 0 <= span[0] - end_ns < GAP_NS
+        ):
+            return False
+        before, end_ns = opened, span[1]
+    return True

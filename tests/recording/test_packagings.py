@@ -17,10 +17,13 @@ import pytest
 import zstandard
 from dgeval.config import Config
 from dgeval.errors import UnreadableError, UsageError
+from dgeval.recording.containers.opening import open_container
 from dgeval.recording.image_codecs import rvl
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
 from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as FolderWriter
 from tests.recording.recorders import (
     COLOUR,
     DEPTH,
@@ -360,3 +363,31 @@ def test_a_clock_setting_that_moves_nothing_says_so(demo: Path) -> None:
     given = opened(demo, "clock.camera_pose.offset_ns=60000000")
     assert any("clock.camera_pose.offset_ns moves nothing here" in n for n in given.notes)
     assert not any("moves nothing" in n for n in opened(demo).notes)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag", "db3"])
+def test_the_span_of_a_file_by_its_index_is_that_of_its_messages(
+    tmp_path: Path, messages: list[Message], kind: str
+) -> None:
+    """Catches a part that seems to overlap the next one, and trials opened whole to list them."""
+    few = [m for m in messages if m[1] in (INFO, JOINTS)][:200]
+    types = {topic: name for _, topic, name, _ in few}
+    path = tmp_path / f"a.{kind}"
+    if kind == "mcap":
+        write(path, few)
+    elif kind == "bag":
+        with BagWriter(path) as bag:
+            added = {t: bag.add_connection(t, k, typestore=ROS1) for t, k in types.items()}
+            for log_ns, topic, name, value in few:
+                data = STORE.cdr_to_ros1(STORE.serialize_cdr(value, name), name)
+                bag.write(added[topic], log_ns, bytes(data))
+    else:
+        plugin = StoragePlugin.SQLITE3
+        with FolderWriter(tmp_path / "a", version=8, storage_plugin=plugin) as stored:
+            joined = {t: stored.add_connection(t, k, typestore=STORE) for t, k in types.items()}
+            for log_ns, topic, name, value in few:
+                stored.write(joined[topic], log_ns, STORE.serialize_cdr(value, name))
+        path = next((tmp_path / "a").glob("*.db3"))
+    read = open_container(path)
+    times = [m.log_ns for m in read.messages()]
+    assert read.container.span_ns == read.span_ns() == (min(times), max(times))

@@ -52,12 +52,18 @@ class RawMessage:
 
 
 class Container(Protocol):
-    """What a container format implements. `messages` may be called any number of times."""
+    """What a container format implements. `messages` may be called any number of times.
+
+    span_ns: the first and the last log time by the file's own index; None without one.
+    """
 
     path: Path
     kind: str
     topics: dict[str, Topic]
     notes: list[str]
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None: ...
 
     @property
     def damage(self) -> list[Damage]: ...
@@ -106,6 +112,13 @@ class Opened:
     def notes(self) -> list[str]:
         """What was assumed to read the file."""
         return self.container.notes
+
+    def span_ns(self) -> tuple[int, int] | None:
+        """The first and the last log time; None without messages. Reads a file without an index."""
+        if self.container.span_ns is not None and not self.damage:
+            return self.container.span_ns
+        times = [message.log_ns for message in self.messages()]
+        return (min(times), max(times)) if times else None
 
     def messages(self, topics: frozenset[str] | None = None) -> Iterator[RawMessage]:
         """Messages of the topics (all if None) in log-time order, ties in file order.

@@ -110,6 +110,13 @@ class McapContainer:
         for channel in self._channels.values():
             self._add_topic(channel, counts)
 
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """By the chunk index; None without one."""
+        if not self._chunks:
+            return None
+        return self._chunks[0].start_ns, max(chunk.end_ns for chunk in self._chunks)
+
     def _place(
         self, offset: int | None = None, topic: str | None = None, t_ns: int | None = None
     ) -> Place:

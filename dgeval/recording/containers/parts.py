@@ -26,6 +26,7 @@ class PartsContainer:
                     count = (known.count or 0) + (topic.count or 0) if both else None
                     topic = replace(known, count=count)
                 self.topics[name] = topic
+        self.span_ns: tuple[int, int] | None = None
         self.notes = list(dict.fromkeys(note for part in parts for note in part.notes))
 
     @property

@@ -52,6 +52,11 @@ class RosbagsContainer:
         reader = self._open()
         try:
             store = reader.typestore
+            has_any = reader.message_count > 0
+            # rosbags gives the end behind the last message
+            self.span_ns: tuple[int, int] | None = (
+                (reader.start_time, reader.end_time - 1) if has_any else None
+            )
             for connection in reader.connections:
                 stored, why = connection.msgtype, None
                 decode: Callable[[bytes], Any] = partial(cdr2.deserialize, store, stored)
