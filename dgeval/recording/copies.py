@@ -1,6 +1,6 @@
-"""Files in a folder that are no recordings of their own: copies, and what `rosbag reindex` keeps.
+"""Files of a run that hold what another one holds: copies, and what `rosbag reindex` keeps.
 
-Each would count as another trial, with the same outcome as the one it repeats.
+Each counts as another trial, with the same outcome as the one it repeats. And archives in a folder.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 
 from dgeval.recording.containers.container import sha256_of
 
+COUNTS_TWICE = "one trial that counts twice"  # the end of such a trial's note
 ORIGINAL = ".orig.bag"  # behind the name of a bag that `rosbag reindex` or `rosbag fix` read
 TARS, ZIP = (".tar", ".tar.gz", ".tgz", ".tar.xz", ".txz", ".tar.bz2", ".tbz2"), ".zip"
 MOST_MEMBERS = 200  # of an archive, that are looked at

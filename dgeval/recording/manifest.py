@@ -82,7 +82,7 @@ class TrialSpec:
     recording, as the manifest says. parts: the files of a recording that was split, in order.
     window_is_log_time: start and end are of messages without a time of their own, as logged.
     is_between_pauses: start and end are pauses of the recorder, and nobody's word. repeats: of a
-    file that is no recording of its own, what it is.
+    file that holds what another one of the run holds, what it is.
     """
 
     id: str

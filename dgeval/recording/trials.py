@@ -33,6 +33,7 @@ from dgeval.recording.closes import CloseKnown, close_of, gripper_tracks
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import ACCEPTED_TOPIC, CLOSE_EVENT, EventKind
+from dgeval.recording.copies import COUNTS_TWICE
 from dgeval.recording.events import Events, events_within
 from dgeval.recording.frame import Frame, MarkedThing
 from dgeval.recording.frame_reader import FrameReader, LostFrames
@@ -134,7 +135,7 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
     try:
         return _opened(spec, config, sha256)
     except (UnreadableError, UsageError) as error:
-        alone = spec.recording.exists() and not spec.parts and not spec.repeats
+        alone = spec.recording.exists() and not spec.parts
         for part in part_check(spec.recording) if alone else []:
             raise type(error)(f"{error.what}: {part.what}", error.place, part.mend) from error
         raise
@@ -142,9 +143,6 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
 
 def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
     place, config = Place(str(spec.recording)), config.of_scenario(spec.scenario)
-    if spec.repeats:
-        hint = "take it away, or name the trials in a manifest"
-        raise UnreadableError(f"it is {spec.repeats}, and would count twice", place, hint)
     opened = open_container(spec.recording, spec.parts)
     if sha256 is None:
         sha256 = sha256_of(spec.recording, spec.parts)
@@ -196,6 +194,7 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
     events = close.events
     notes = [
         *opened.notes,
+        *([f"this file is {spec.repeats}: {COUNTS_TWICE}"] if spec.repeats else []),
         *([PAUSES] if spec.is_between_pauses else []),
         *clock_note,
         *roles.notes,

@@ -18,6 +18,7 @@ from dgeval.report.figures import shares_figure, trial_figure
 from dgeval.report.summary import (
     LABELLED,
     against_truth,
+    counted_twice,
     failure_shares,
     read_truth,
     share,
@@ -121,6 +122,7 @@ def _run(run: Run, truth: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "figures": figures,
         "drawn": {name: as_data_uri(figure) for name, figure in figures.items()},
         "first": what_first(run.trials) if len(run.trials) else [],
+        "twice": counted_twice(run.trials) if len(run.trials) else [],
         "scored": against_truth(run.trials, truth),
         "outcomes": outcomes,
         "failed": run.about["failed"],

@@ -17,6 +17,7 @@ import pandas as pd
 from dgeval.failure_rule import CLASSES
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import TRUTH_VERDICT_TOPIC
+from dgeval.recording.copies import COUNTS_TWICE
 from dgeval.recording.manifest import find_trials
 from dgeval.statistics import confusion, macro_f1, wilson
 
@@ -132,6 +133,14 @@ def what_first(trials: pd.DataFrame) -> list[str]:
         if len(blamed):
             sentence += f"; blamed on {blamed.index[0]} in {blamed.iloc[0]}"
         out.append(sentence)
+    return out
+
+
+def counted_twice(trials: pd.DataFrame) -> list[str]:
+    """Sentences on trials whose file holds what another trial's holds, by their notes."""
+    out = []
+    for trial, notes in zip(trials["trial"], trials["notes"].fillna(""), strict=True):
+        out += [f"{trial}: {note}" for note in notes.split("; ") if note.endswith(COUNTS_TWICE)]
     return out
 
 

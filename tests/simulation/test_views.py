@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from dgeval.recording.copies import COUNTS_TWICE
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -65,16 +66,22 @@ def test_a_run_whose_metadata_are_damaged_is_no_internal_error(
         assert "not a finished run" in done.stderr
 
 
-def test_names_with_bars_keep_their_columns(demo_run: Path, dgeval: Run, tmp_path: Path) -> None:
+def test_names_with_bars_keep_their_columns_and_copies_are_told(
+    demo_run: Path, dgeval: Run, tmp_path: Path
+) -> None:
     """Catches a table of report.md that an object's name takes apart."""
     run = tmp_path / "run"
     shutil.copytree(demo_run, run)
     rows = pd.read_parquet(run / "trials.parquet")
     rows["object"] = "box|red"
+    rows["notes"] = f"a; this file is the same bytes as b.mcap: {COUNTS_TWICE}; c"
     rows.to_parquet(run / "trials.parquet")
     assert dgeval("report", run, "--out", tmp_path).returncode == 0
     page = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "| box\\|red |" in page
+    told = f"demo: this file is the same bytes as b.mcap: {COUNTS_TWICE}"
+    assert told in page
+    assert told in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_report_stands_alone_and_tells_the_trial(
