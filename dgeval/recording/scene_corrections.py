@@ -118,21 +118,26 @@ def _with_pictures(
 def _with_depth(
     step: SceneStep, T_a: Array, T_b: Array, later_s: float
 ) -> tuple[SceneStep, Correction]:
-    """The robot was there when depth was taken: what it measures lies across the view, so that the
-    camera's way along its view is what the depth of a pixel lacks.
-    """
-    a = _along_view(step.a, invert(step.T_base_a) @ T_a)
-    b = _along_view(step.b, invert(step.T_base_b) @ T_b)
+    """The robot was there when depth was taken: it is that of other places of the scene."""
+    a = _seen_from_there(step.a, invert(step.T_base_a) @ T_a)
+    b = _seen_from_there(step.b, invert(step.T_base_b) @ T_b)
     return replace(step, a=a, b=b), Correction(depth_later_s=later_s)
 
 
-def _along_view(points: Array, T_camera_then: Array) -> Array:
-    """Points (n, 3) m, each on its ray as far as it is along the view from where depth was taken.
+def _seen_from_there(points: Array, T_camera_then: Array) -> Array:
+    """Points (n, 3) m, each on its ray as far as the scene is there, by depth from another place.
 
     T_camera_then (4, 4): the camera's pose when depth was taken, in the camera's frame of colour.
+    The inverse depth of a plane is linear over the picture: its slope is that of all points.
     """
-    depth = transform(T_camera_then, points)[:, 2:]
-    return points / points[:, 2:] * np.maximum(depth, LEAST_LEFT * points[:, 2:])
+    there = transform(T_camera_then, points)
+    inverse = 1.0 / np.maximum(there[:, 2], LEAST_LEFT * points[:, 2])
+    at, ray = there[:, :2] * inverse[:, None], points[:, :2] / points[:, 2:]
+    linear = np.column_stack([np.ones(len(at)), at])
+    slope = np.linalg.lstsq(linear, inverse, rcond=None)[0][1:]
+    inverse = inverse + (ray - at) @ slope
+    depth = 1.0 / np.clip(inverse, LEAST_LEFT / points[:, 2], 1.0 / (LEAST_LEFT * points[:, 2]))
+    return np.column_stack([ray, np.ones(len(ray))]) * depth[:, None]
 
 
 def _with_principal(x: Array) -> Correction:

@@ -40,7 +40,7 @@ def test_a_manifest_may_name_a_file_as_often_as_it_likes(tmp_path: Path, demo: P
 def test_what_rosbag_reindex_leaves(tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("a.bag", "a.orig.bag", "b.orig.bag")]
     for k, file in enumerate(files):
-        file.write_bytes(b"#ROSBAG V2.0\n" + bytes(100 + k))
+        file.write_bytes(b"#ROSBAG V2.0\n" + bytes([k] * 100))  # of one size, and not the same
     found = repeats(files)
     assert found == {files[1]: "what `rosbag reindex` made a.bag from"}
 

@@ -219,6 +219,25 @@ def test_pictures_that_are_stamped_late_are_told_with_the_delay(
     assert corrected(listed)[0].later_s == pytest.approx(-late_ms * 1e-3, abs=0.011)
 
 
+@pytest.mark.parametrize("late_ms", [-120, 90])
+def test_depth_alone_that_is_late_is_told_with_the_delay(late_ms: int) -> None:
+    """Fails where both clocks are blamed for depth that a driver holds back. The camera changes its
+    speed: at an even one a delay of depth is one with an offset of depth.
+    """
+
+    def way(k: float) -> float:
+        return k + 0.8 * float(np.sin(k))
+
+    still = np.zeros(2)
+    listed = []
+    for k in range(STEPS + 3):
+        then = frame_of(way(k - late_ms * 1e6 / PERIOD_NS), still)
+        listed.append(replace(frame_of(way(k), still), t_ns=k * PERIOD_NS, depth=then.depth))
+    found = corrected(listed, lambda t_ns: camera_at(way(t_ns / PERIOD_NS)))
+    assert found[0].depth_later_s == pytest.approx(-late_ms * 1e-3, abs=0.011)
+    assert found[0].later_s == 0.0
+
+
 def test_right_recordings_need_no_correction() -> None:
     assert corrected(frames()) == []
 
