@@ -1928,6 +1928,66 @@ MUTANTS = [
         "if T_camera_model is not None and not seen:",
         "tests/replay/test_fidelity.py",
     ),
+    Mutant(
+        "dgeval/recording/encodings/foxglove.py",
+        'ljust(9, "0")',
+        'rjust(9, "0")',
+        "tests/recording/test_foxglove_json.py::test_times_as_texts",
+    ),
+    Mutant(
+        "dgeval/recording/clocks.py",
+        "elif t > highest:",
+        "elif t < highest:",
+        "tests/recording/test_packagings.py::test_one_stamp_ahead_costs_one_image",
+    ),
+    Mutant(
+        "dgeval/recording/roles.py",
+        '            _has(n, *WANTED),\n            not _has(n, "joint_states"),',
+        '            not _has(n, "joint_states"),',
+        "tests/recording/test_other_pictures.py::test_joint_positions_that_were_wanted_are_not_measured",
+    ),
+    Mutant(
+        "dgeval/recording/cameras.py",
+        "and depth.frame_id not in known",
+        "and depth.frame_id in known",
+        "tests/recording/test_other_pictures.py::test_aligned_depth_under_a_frame_that_nothing_places",
+    ),
+    Mutant(
+        "dgeval/recording/scene_corrections.py",
+        "inverse = inverse + (ray - at) @ slope",
+        "inverse = inverse",
+        "tests/recording/test_scene_motion.py::test_depth_alone_that_is_late_is_told_with_the_delay",
+    ),
+    Mutant(
+        "dgeval/recording/checks.py",
+        "rarer = min(count, key",
+        "rarer = max(count, key",
+        "tests/recording/test_trial_parts.py::test_pictures_without_a_partner_are_lost_by_the_rarer_stream",
+    ),
+    Mutant(
+        "dgeval/recording/copies.py",
+        "first.setdefault(sha256_of(file), file)",
+        'first.setdefault("", file)',
+        "tests/recording/test_copies.py::test_what_rosbag_reindex_leaves",
+    ),
+    Mutant(
+        "dgeval/runs/target_told.py",
+        "if name in SPOILS_DEPTH",
+        "if name not in SPOILS_DEPTH",
+        "tests/replay/test_notes.py::test_another_box_is_no_mend_for_wrong_depth",
+    ),
+    Mutant(
+        "dgeval/recording/containers/rosbags.py",
+        "reader.end_time - 1",
+        "reader.end_time",
+        "tests/recording/test_packagings.py::test_the_span_of_a_file_by_its_index_is_that_of_its_messages",
+    ),
+    Mutant(
+        "dgeval/recording/grippers.py",
+        "known |= kind == BOOL and is_command_topic(name, kind)",
+        "known |= kind == BOOL",
+        "tests/recording/test_grippers.py",
+    ),
 ]
 
 
