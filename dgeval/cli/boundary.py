@@ -137,3 +137,12 @@ class QuietPipe:
 def print_json(value: Any) -> None:
     """Write the one JSON document of `--json` to standard output."""
     sys.stdout.write(json.dumps(value, indent=1) + "\n")
+
+
+def given_path(text: str) -> Path:
+    """A path that was given; an empty one, as an unset variable of a shell gives, is refused: it
+    would be the working folder with all that is below it.
+    """
+    if not text:
+        raise typer.BadParameter("an empty path was given: is a variable of the shell not set?")
+    return Path(text)

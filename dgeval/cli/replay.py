@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dgeval.cli.boundary import command, print_json
+from dgeval.cli.boundary import command, given_path, print_json
 
 EXAMPLES = """\b
 Examples:
@@ -26,7 +26,9 @@ def replay(
     paths: Annotated[
         list[Path],
         typer.Argument(
-            help="Recordings, folders of recordings, manifests (.toml).", metavar="PATH…"
+            help="Recordings, folders of recordings, manifests (.toml).",
+            metavar="PATH…",
+            parser=given_path,
         ),
     ],
     out: Annotated[

@@ -242,8 +242,12 @@ def _intrinsics(
     if not is_rectified:
         lens, note = lens_of(model, used)
         notes += [note] if note else []
-    if scan.camera_changes.get(info_topic or ""):
-        notes.append("the intrinsics change within the recording; the first are used")
+    n_others = scan.camera_changes.get(info_topic or "", 0)
+    if n_others:
+        notes.append(
+            "the intrinsics change within the recording: those of most messages are used, "
+            f"{n_others} have others"
+        )
     return used, notes, lens
 
 

@@ -33,7 +33,7 @@ from dgeval.recording.contract import (
 )
 from dgeval.recording.description_checks import other_hand
 from dgeval.recording.events import Events
-from dgeval.recording.frame_checks import SAMPLED, frame_checks
+from dgeval.recording.frame_checks import SAMPLED, frame_checks, stamps_fit
 from dgeval.recording.frame_reader import FrameReader
 from dgeval.recording.frozen import frozen_streams
 from dgeval.recording.joint_checks import joint_faults
@@ -57,30 +57,52 @@ LONGEST_GAP_S = 1.0  # s, as long as velocity and model are carried on (`estimat
 MOST_WORDS = 6  # that a sentence lists
 
 
+def clocks_apart(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[str, float] | None:
+    """The topic of the robot whose delay to the recorder differs most from colour's, and by how
+    much colour's is larger, s; None where one of both has no stamps.
+    """
+    camera = _delay(scan, roles.colour, clock.colour.offset_ns)
+    robots = {
+        topic: d
+        for topic, offset in sorted(_robot_topics(scan, roles, clock).items())
+        if (d := _delay(scan, topic, offset)) is not None
+    }
+    if camera is None or not robots:
+        return None
+    topic, robot = max(robots.items(), key=lambda item: abs(item[1] - camera))
+    return topic, camera - robot
+
+
+def _robot_topics(scan: Scan, roles: Roles, clock: ClockConfig) -> dict[str, int]:
+    """The robot's topics that bear stamps, and the offset of each one's clock, ns."""
+    tf = [n for n, t in scan.opened.topics.items() if t.type in TF_TYPES and "static" not in n]
+    offsets = dict.fromkeys(tf, clock.camera_pose.offset_ns)
+    return offsets | dict.fromkeys(roles.joints, clock.hand_joints.offset_ns)
+
+
 def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | None, str]:
     """Whether the camera's clock is that of the robot, by each one's delay to the recorder.
 
     Also a note where it is off by less, as a slow transport is too; "" without.
     """
-    camera = _delay(scan, roles.colour, clock.colour.offset_ns)
-    tf = [n for n, t in scan.opened.topics.items() if t.type in TF_TYPES and "static" not in n]
-    offsets = dict.fromkeys(tf, clock.camera_pose.offset_ns)
-    offsets |= dict.fromkeys(roles.joints, clock.hand_joints.offset_ns)
-    robots = {
-        topic: d
-        for topic, offset in sorted(offsets.items())
-        if (d := _delay(scan, topic, offset)) is not None
-    }
-    if camera is None or not robots:
+    found = clocks_apart(scan, roles, clock)
+    if found is None:
         return None, ""
-    topic, robot = max(robots.items(), key=lambda item: abs(item[1] - camera))
-    apart = camera - robot
+    topic, apart = found
     if abs(apart) <= CLOCKS_TOLD_S:
-        return None, _drift_note(scan, roles, robots)
+        stamped = [
+            n
+            for n, offset in sorted(_robot_topics(scan, roles, clock).items())
+            if _delay(scan, n, offset) is not None
+        ]
+        return None, _drift_note(scan, roles, stamped)
     side = "behind" if apart > 0 else "ahead of"
     what = f"the camera's stamps are {abs(apart):.2f} s {side} those of {topic}, by the recorder"
     mend = f"set clock.colour.offset_ns={round(apart * 1e9) + clock.colour.offset_ns}"
+    camera = _delay(scan, roles.colour, clock.colour.offset_ns)
     depth = _delay(scan, roles.depth, clock.depth.offset_ns)
+    assert camera is not None
+    robot = camera - apart
     if depth is None or abs(depth - robot) > CLOCKS_TOLD_S:
         depth_apart = apart if depth is None else depth - robot
         mend += f" and clock.depth.offset_ns={round(depth_apart * 1e9) + clock.depth.offset_ns}"
@@ -133,8 +155,13 @@ def failed_checks(
 ) -> tuple[list[Check], list[str]]:
     """The checks that fail, and notes on what is near to failing. close_ns: of the trial."""
     failed: list[Check] = []
+    approach = tuple(p for p in window.pairs if close_ns is None or p.t_ns <= close_ns)
+    seen = approach if len(approach) >= SAMPLED else window.pairs
     clocks, note = clock_check(scan, roles, clock)
-    if clocks is not None:
+    apart = clocks_apart(scan, roles, clock)
+    if clocks is not None and apart is not None and stamps_fit(reader, seen, apart[1]):
+        note = f"{clocks.what}; by what they show the stamps are right: they were logged late"
+    elif clocks is not None:
         failed.append(clocks)
     failed += stamp_checks(scan, roles, window)
     failed += [*_gap(window), *_ends_early(scan, roles, window)]
@@ -166,8 +193,6 @@ def failed_checks(
         for what in frozen_streams(scan, roles, window, reader)
     ]
     assert roles.depth is not None
-    approach = tuple(p for p in window.pairs if close_ns is None or p.t_ns <= close_ns)
-    seen = approach if len(approach) >= SAMPLED else window.pairs
     later = window.pairs[len(seen) :]
     encoding = scan.images[roles.depth].encoding
     against, not_quite = frame_checks(reader, seen, later, encoding != "32FC1", clock)

@@ -11,9 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dgeval.geometry import Array
 from dgeval.recording.camera_motion import LEAST_WORSE, MovedPair
 from dgeval.recording.frame import Frame
 
+SMOOTHER = 0.1  # times as rough, at most, is depth whose swapped bytes are put right; ours
 # m, between which the middle depth of a manipulation scene lies; ours
 LEAST_DEPTH_M, MOST_DEPTH_M = 0.08, 10.0
 FACTORS = np.geomspace(0.03, 30.0, 41)  # tried; neighbours differ by 19 %
@@ -43,6 +45,26 @@ def wrong_unit(frames: Sequence[Frame], pairs: Sequence[MovedPair]) -> tuple[str
         return None
     what = f"the camera's motion fits depth that is {by_motion:.2g} times as large"
     return f"{what} (the middle depth is {middle:.3g} m)", by_motion
+
+
+def bytes_swapped(frames: Sequence[Frame], scale: float | None) -> float | None:
+    """The middle depth, m, with the two bytes of each reading swapped; None unless a scene has it,
+    and it is far smoother along the rows than as read. scale: m per unit.
+    """
+    unit = 1e-3 if scale is None else scale
+    as_read: list[Array] = []
+    swapped: list[Array] = []
+    for frame in frames:
+        codes = np.rint(frame.depth / unit).astype(np.uint16)
+        for listed, image in ((as_read, codes), (swapped, codes.byteswap())):
+            listed.append(image.astype(np.float64) * unit)
+    known = np.concatenate([s[a > 0] for a, s in zip(as_read, swapped, strict=True)])
+    if not len(known):
+        return None
+    rough = [np.median([np.abs(np.diff(d, axis=1)).mean() for d in x]) for x in (as_read, swapped)]
+    middle = float(np.median(known))
+    smoother = rough[1] < SMOOTHER * rough[0]
+    return middle if smoother and LEAST_DEPTH_M <= middle <= MOST_DEPTH_M else None
 
 
 def factor_by_motion(pairs: Sequence[MovedPair]) -> float | None:

@@ -17,6 +17,7 @@ from dgeval.recording.contract import (
 from dgeval.recording.messages import Event
 
 AFTER_NS = 1_000_000_000  # ns; events this long after a trial's last frame still belong to it
+PRESSED_AGAIN_NS = 2_000_000_000  # ns, in which no trial begins and ends; ours
 SAME_EVENT_NS, MOST_AT_ONCE = 50_000_000, 8  # ns, and events before, that may be the same; ours
 
 
@@ -64,6 +65,29 @@ def heard_once(events: Iterable[Event]) -> list[Event]:
         if not any((e.kind, e.fields) == (event.kind, event.fields) for e in just_before):
             out.append(event)
     return out
+
+
+def pressed_once(events: Iterable[Event]) -> list[Event]:
+    """Without the starts of trials that come soon after another one, with nothing in between: a
+    person has pressed twice.
+    """
+    out: list[Event] = []
+    for event in sorted(events, key=lambda e: e.t_ns):
+        again = bool(out) and out[-1].kind == event.kind == TRIAL_START_EVENT
+        if not (again and event.t_ns - out[-1].t_ns < PRESSED_AGAIN_NS):
+            out.append(event)
+    return out
+
+
+def started_twice(events: Iterable[Event], start_ns: int, end_ns: int) -> list[str]:
+    """A note where several starts lie in a trial's window, ns; none without."""
+    starts = [
+        e.t_ns for e in events if e.kind == TRIAL_START_EVENT and start_ns <= e.t_ns <= end_ns
+    ]
+    if len(starts) < 2:
+        return []
+    apart = (max(starts) - min(starts)) * 1e-9
+    return [f"trial_start is marked {len(starts)} times within {apart:.2f} s: taken for one"]
 
 
 def is_label(event: Event) -> bool:

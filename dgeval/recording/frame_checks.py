@@ -17,7 +17,7 @@ from dgeval.recording.camera_motion import moved_pairs
 from dgeval.recording.camera_poses import wrong_poses
 from dgeval.recording.check import Check
 from dgeval.recording.depth_edges import DepthOff, depth_off
-from dgeval.recording.depth_unit import wrong_unit
+from dgeval.recording.depth_unit import bytes_swapped, wrong_unit
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.hand_seen import HandOff, hand_off
@@ -81,6 +81,27 @@ def frame_checks(
         else:
             notes.append(f"{check.what}; {check.mend}")
     return failed, "; ".join(text for text in notes if text)
+
+
+def stamps_fit(reader: FrameReader, pairs: tuple[Pair, ...], later_s: float) -> bool:
+    """Whether what the pictures show fits the camera's poses as stamped, and not `later_s` later.
+
+    False too where it can't be told: no texture, a camera that moves evenly, or no poses then.
+    """
+    chosen = replace(reader, pairs=tuple(_few(pairs, SAMPLED)), lost=LostFrames([]))
+    steps = scene_steps(list(chosen.frames()))
+    share = seeming_motion(steps)
+    if share is None or share > NOT_QUITE:
+        return False
+    moved = []
+    for step in steps:
+        T_a, T_b = (
+            reader.robot.T_base_camera(t + round(later_s * 1e9)) for t in (step.t_a_ns, step.t_b_ns)
+        )
+        if T_a is not None and T_b is not None:
+            moved.append(replace(step, T_base_a=T_a, T_base_b=T_b))
+    shifted = seeming_motion(moved)
+    return shifted is not None and shifted > CONTRADICTS
 
 
 def _few(pairs: tuple[Pair, ...], count: int) -> list[Pair]:
@@ -173,6 +194,11 @@ def _against_depth(reader: FrameReader, frames: Sequence[Frame], is_integer: boo
     pairs_moved = moved_pairs(frames)
     found = wrong_unit(frames, pairs_moved)
     if found is not None:
+        swapped_m = bytes_swapped(frames, reader.camera.depth_scale) if is_integer else None
+        if swapped_m is not None:
+            what = f"{found[0]}; with its bytes swapped it is {swapped_m:.2f} m, and smooth"
+            mend = "is_bigendian or the bytes are wrong in the driver; no setting turns them"
+            return [Check("depth_unit", what, mend)]
         return [_unit_check(reader, is_integer, *found)]
     robot = reader.robot
     if robot.base_frame is None:

@@ -25,16 +25,22 @@ MAX_WAITING = 64  # images of one role held in memory while their partners are w
 class LostFrames:
     """Counts pairs of images that could not be made into a frame, over all passes over a trial.
 
-    Every pass adds its own: a pair that two passes read counts twice. Only the first one is listed,
-    as a damage of the recording.
+    A pair that several passes read counts once. Only the first one is listed, as a damage of the
+    recording.
     """
 
     damage: list[Damage]
-    count: int = 0
+    times: set[int | None] = field(default_factory=set)
+    is_listed: bool = False
+
+    @property
+    def count(self) -> int:
+        return len(self.times)
 
     def add(self, reason: str, place: Place) -> None:
-        self.count += 1
-        if self.count == 1:
+        self.times.add(place.t_ns)
+        if self.count == 1 and not self.is_listed:
+            self.is_listed = True
             what = f"a frame can't be used ({reason}); further ones are counted"
             self.damage.append(Damage(what, place))
 

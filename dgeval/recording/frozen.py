@@ -58,7 +58,9 @@ def _is_blank(reader: FrameReader, pair: Pair, role: str) -> bool:
     if frame is None:
         return True
     if role == "depth":
-        return float((frame.depth > 0).mean()) < LEAST_SEEN
+        known = frame.depth[frame.depth > 0]
+        # some drivers write one large value where there is no reading
+        return len(known) < LEAST_SEEN * frame.depth.size or float(np.ptp(known)) == 0.0
     return float(frame.colour.std()) < LEAST_CONTRAST
 
 

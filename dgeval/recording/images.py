@@ -37,6 +37,11 @@ def decode_image(message: Any) -> Pixels:
     raise ValueError("not an image message")
 
 
+# m, from which on a value may stand for no reading; share of the picture that has it at least; and
+# of it, before which all readings lie; ours
+LEAST_FILLER_M, LEAST_FILLED, BEFORE = 5.0, 0.02, 0.8
+
+
 def colour_from(pixels: Pixels) -> NDArray[np.uint8]:
     """(H, W, 3) uint8 RGB; ValueError for encodings that are not colour."""
     if pixels.encoding == "rgb8":
@@ -47,7 +52,8 @@ def colour_from(pixels: Pixels) -> NDArray[np.uint8]:
 
 
 def depth_from(pixels: Pixels, scale: float | None) -> NDArray[np.float32]:
-    """(H, W) float32 m, 0 where there is no reading (0, NaN, infinite, negative, 65535).
+    """(H, W) float32 m, 0 where there is no reading (0, NaN, infinite, negative, 65535, one
+    far value in many pixels).
 
     scale: m per unit; None is what the file states, else the ROS convention: millimetres in
     integers, metres in floats.
@@ -58,7 +64,20 @@ def depth_from(pixels: Pixels, scale: float | None) -> NDArray[np.float32]:
     if pixels.array.dtype == np.uint16:
         depth = pixels.array.astype(np.float32) * np.float32(0.001 if scale is None else scale)
         depth[pixels.array == np.iinfo(np.uint16).max] = 0.0
-        return depth
-    depth = pixels.array.astype(np.float32) * np.float32(1.0 if scale is None else scale)
-    depth[~(np.isfinite(depth) & (depth > 0))] = 0.0
+    else:
+        depth = pixels.array.astype(np.float32) * np.float32(1.0 if scale is None else scale)
+        depth[~(np.isfinite(depth) & (depth > 0))] = 0.0
+    _drop_filler(depth)
     return depth
+
+
+def _drop_filler(depth: NDArray[np.float32]) -> None:
+    """Set to 0 what some drivers write where there is no reading: one value far behind all others,
+    in many pixels.
+    """
+    farthest = float(depth.max(initial=0.0))
+    if farthest < LEAST_FILLER_M:
+        return
+    filler = depth == farthest
+    if filler.mean() >= LEAST_FILLED and depth.max(where=~filler, initial=0.0) < BEFORE * farthest:
+        depth[filler] = 0.0

@@ -21,7 +21,7 @@ from dgeval.recording.contract import (
     label_of,
 )
 from dgeval.recording.copies import holds_a_recording, repeats
-from dgeval.recording.events import heard_once
+from dgeval.recording.events import heard_once, pressed_once
 from dgeval.recording.messages import Event, event_of
 from dgeval.recording.pauses import between_pauses
 from dgeval.recording.splits import split_recordings
@@ -221,7 +221,7 @@ def _of_recording(
                 continue  # counted as undecodable when the trial is read
             if event.kind in (TRIAL_START_EVENT, TRIAL_END_EVENT):
                 marks.append(event)
-    marks = heard_once(marks)
+    marks = pressed_once(heard_once(marks))
     starts = [e.t_ns for e in marks if e.kind == TRIAL_START_EVENT]
     ends = [e.t_ns for e in marks if e.kind == TRIAL_END_EVENT]
     is_log_time = any(e.is_log_time for e in marks)

@@ -27,6 +27,15 @@ IMAGE_TYPES = VIDEO_TYPES | {"sensor_msgs/msg/Image", "sensor_msgs/msg/Compresse
 # the second is the older name of the same fields
 TF_TYPES = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+# what ros2_control publishes besides: of all its interfaces, and of a trajectory's controller
+JOINT_TYPES = frozenset(
+    {
+        JOINT_STATE,
+        "control_msgs/msg/DynamicJointState",
+        "control_msgs/msg/JointTrajectoryControllerState",
+    }
+)
 POSE_TYPES = frozenset(
     {
         "geometry_msgs/msg/PoseStamped",
@@ -246,14 +255,30 @@ class JointSample:
 
 
 def joints_of(message: Any) -> JointSample:
-    """From sensor_msgs/JointState; names without a value are left out."""
-    values = {
-        n: float(v) for n, v in zip(message.name, message.position, strict=False) if abs(v) < 1e6
-    }
-    efforts = {
-        n: float(v) for n, v in zip(message.name, message.effort, strict=False) if abs(v) < 1e6
-    }
-    return JointSample(stamp_ns(message), values, efforts)
+    """From a message of JOINT_TYPES; names without a value are left out."""
+    if hasattr(message, "interface_values"):
+        given = zip(message.joint_names, message.interface_values, strict=False)
+        by_joint = {n: dict(zip(i.interface_names, i.values, strict=False)) for n, i in given}
+        positions, efforts = (
+            [(n, v[kind]) for n, v in by_joint.items() if kind in v]
+            for kind in ("position", "effort")
+        )
+    elif hasattr(message, "joint_names"):
+        point = message.feedback if hasattr(message, "feedback") else message.actual
+        positions, efforts = (
+            list(zip(message.joint_names, values, strict=False))
+            for values in (point.positions, point.effort)
+        )
+    else:
+        positions, efforts = (
+            list(zip(message.name, values, strict=False))
+            for values in (message.position, message.effort)
+        )
+    return JointSample(
+        stamp_ns(message),
+        {n: float(v) for n, v in positions if abs(v) < 1e6},
+        {n: float(v) for n, v in efforts if abs(v) < 1e6},
+    )
 
 
 @dataclass(frozen=True, slots=True)

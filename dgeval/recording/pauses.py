@@ -5,9 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 from dgeval.recording.containers.container import Opened
-from dgeval.recording.messages import IMAGE_TYPES, TF_TYPES
+from dgeval.recording.messages import IMAGE_TYPES, JOINT_TYPES, TF_TYPES
 
-ROBOT_TYPES = TF_TYPES | {"sensor_msgs/msg/JointState"}
+ROBOT_TYPES = TF_TYPES | JOINT_TYPES
 PAUSE_NS = 3_000_000_000  # ns without a message on any topic: its recorder was paused; ours
 LAST_NS = 2**63  # ns, later than any message
 LEAST_ROBOT = 20  # messages of joints or transforms, for a robot that is recorded; ours

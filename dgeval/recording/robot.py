@@ -26,6 +26,7 @@ from dgeval.recording.palm import palm_of
 from dgeval.recording.roles import Roles, joint_notes, joint_topics, merged_joints
 from dgeval.recording.scan import Scan, Transforms
 from dgeval.recording.transforms import TransformTree
+from dgeval.recording.two_sources import contradictions, unplaced_by_tf
 from dgeval.robots.described_hand import CLOSE_S, described_hand
 from dgeval.robots.description import Description, Joint, LinkShape
 from dgeval.robots.hand import Hand
@@ -271,6 +272,18 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
             notes.append(renamed)
         notes.extend(description.notes)
         notes.extend(note for note in known_hand(description)[1:] if note)
+        described = TransformTree(max_gap_ns)
+        _add_joints(described, description, joints, max_gap_ns)
+        times = sorted({t for listed in joints.times.values() for t in listed})
+        for frame, parent in unplaced_by_tf(tree, described, times).items():
+            tree.drop(frame)
+            notes.append(
+                f"{frame!r} hangs on {parent!r} by /tf and on {described.parent(frame)!r} by the "
+                f"description: nothing ties {parent!r} to the robot, so the description counts"
+            )
+        mounts, elsewhere = contradictions(tree, described, description, times)
+        notes.extend(mounts)
+        changed += [(what, "publish the frame once") for what in elsewhere]
         _add_joints(tree, description, joints, max_gap_ns)
     if config.calibration.T_flange_camera is not None:
         if config.calibration.flange is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from dgeval.recording.cameras import (
 )
 from dgeval.recording.contract import DGEVAL_PREFIX, MASK_TOPIC, TRUTH_PREFIX
 from dgeval.recording.images import DEPTH_ENCODINGS
-from dgeval.recording.messages import JointSample
+from dgeval.recording.messages import JOINT_STATE, JointSample
 from dgeval.recording.namespaces import Series, differ, namespace_of, of_camera
 from dgeval.recording.scan import ImageHead, Scan
 from dgeval.recording.video import EXTRA, is_available
@@ -122,6 +123,8 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
             n,
         ),
     )
+    # what ros2_control publishes besides says the same once more, and may lag
+    joints = [n for n in joints if topics[n].type == JOINT_STATE] or joints
     if config.hand_joints is not None:
         joints = [config.hand_joints]
     poses = [n for n in sorted(scan.poses) if used(n)]
@@ -230,12 +233,14 @@ def joint_topics(
     return tuple(t for t in roles.joints if namespace_of(t) in counts), mixed
 
 
-def joint_owners(scan: Scan, topics: tuple[str, ...]) -> dict[str, str]:
-    """By joint, the first of the topics that gives it."""
+def joint_owners(
+    scan: Scan, topics: tuple[str, ...], what: Literal["positions", "efforts"] = "positions"
+) -> dict[str, str]:
+    """By joint, the first of the topics that gives its positions, or its efforts."""
     owner: dict[str, str] = {}
     for topic in topics:
         for sample in scan.joints.get(topic, []):
-            for name in sample.positions.keys() | sample.efforts.keys():
+            for name in getattr(sample, what):
                 owner.setdefault(name, topic)
     return owner
 
@@ -248,11 +253,12 @@ def merged_joints(scan: Scan, topics: tuple[str, ...]) -> list[JointSample]:
     if len(topics) == 1:
         return list(scan.joints.get(topics[0], []))
     owner = joint_owners(scan, topics)
+    presses = joint_owners(scan, topics, "efforts")
     out = []
     for topic in topics:
         for s in scan.joints.get(topic, []):
             positions = {n: v for n, v in s.positions.items() if owner[n] == topic}
-            efforts = {n: v for n, v in s.efforts.items() if owner[n] == topic}
+            efforts = {n: v for n, v in s.efforts.items() if presses[n] == topic}
             if positions or efforts:
                 out.append(JointSample(s.t_ns, positions, efforts))
     return sorted(out, key=lambda s: s.t_ns)
@@ -263,14 +269,24 @@ def joint_notes(scan: Scan, topics: tuple[str, ...]) -> list[str]:
     that are known only as they were wanted.
     """
     owner = joint_owners(scan, topics)
-    sources = [t for t in topics if t in owner.values()]
+    given = {*owner.values(), *joint_owners(scan, topics, "efforts").values()}
+    sources = [t for t in topics if t in given]
     merged = f"joint states are merged from {', '.join(sources)}"
-    return [merged] * (len(sources) > 1) + [
-        f"{', '.join(n for n in sorted(owner) if owner[n] == topic)}: as wanted ({topic}); "
-        "measured positions are not recorded"
-        for topic in sources
-        if _has(topic, *WANTED)
+    nameless = [
+        f"the {len(scan.joints[topic])} messages of {topic} name no joint that has a position"
+        for topic in topics
+        if topic not in given and scan.joints.get(topic)
     ]
+    return (
+        [merged] * (len(sources) > 1)
+        + nameless * (not sources)
+        + [
+            f"{', '.join(n for n in sorted(owner) if owner[n] == topic)}: as wanted ({topic}); "
+            "measured positions are not recorded"
+            for topic in sources
+            if _has(topic, *WANTED) and topic in owner.values()
+        ]
+    )
 
 
 def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:

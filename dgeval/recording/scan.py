@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -46,6 +47,7 @@ from dgeval.recording.librealsense import (
 from dgeval.recording.messages import (
     CAMERA_INFO,
     IMAGE_TYPES,
+    JOINT_TYPES,
     POSE_TYPES,
     TF_TYPES,
     CameraModel,
@@ -82,13 +84,14 @@ STAMPED = (
     | DETECTION_TYPES
     | {
         CAMERA_INFO,
-        "sensor_msgs/msg/JointState",
+        *JOINT_TYPES,
         "geometry_msgs/msg/TwistStamped",
     }
 )
 # bytes of an image's message that may hold its stamp, in any encoding; every so many bytes after
 # them tell one picture from the next
 BEHIND_STAMP, DIGESTED = 64, 31
+MOST_INTRINSICS = 50  # different ones of a topic, that are kept
 
 
 @dataclass
@@ -175,11 +178,31 @@ class Scan:
     first_undecodable: dict[str, str] = field(default_factory=dict)
 
 
+@dataclass
+class _Counted:
+    """Intrinsics, and in how many messages they are."""
+
+    model: CameraModel
+    count: int = 0
+
+
+def _of_most(counted: Iterable[_Counted]) -> tuple[CameraModel, int]:
+    """The intrinsics that most messages have, of equally many the first; and how many have others.
+
+    A driver that starts in another mode publishes that one's first.
+    """
+    by_model: dict[CameraModel, int] = {}
+    for one in counted:
+        by_model[one.model] = by_model.get(one.model, 0) + one.count
+    most = max(by_model, key=lambda model: by_model[model])
+    return most, sum(by_model.values()) - by_model[most]
+
+
 def scan(opened: Opened, events_topic: str | None = None) -> Scan:
     """Read the whole recording once. Faults of the file are added to `opened.damage`."""
     out = Scan(opened)
     wanted_events = events_topic or EVENTS_TOPIC
-    seen_camera: dict[str, bytes] = {}
+    intrinsics: dict[str, dict[bytes, _Counted]] = defaultdict(dict)
     videos: dict[str, VideoDecoder] = {}
     frame_times: dict[str, dict[int, int]] = defaultdict(dict)
     goals: dict[str, set[bytes]] = defaultdict(set)
@@ -218,13 +241,12 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             elif topic.type == CAMERA_INFO:
                 times.header_ns.append(_stamp(message, topic.encoding, opened))
                 matrix = message.data[20:]  # after the stamp; equal bytes are not decoded again
-                if seen_camera.get(message.topic) != matrix:
-                    model = camera_model(opened.decode(message))
-                    if message.topic in out.cameras and out.cameras[message.topic] != model:
-                        out.camera_changes[message.topic] += 1
-                    out.cameras.setdefault(message.topic, model)
-                    seen_camera[message.topic] = matrix
-            elif topic.type == "sensor_msgs/msg/JointState":
+                known_models = intrinsics[message.topic]
+                if matrix not in known_models and len(known_models) < MOST_INTRINSICS:
+                    known_models[matrix] = _Counted(camera_model(opened.decode(message)))
+                if matrix in known_models:
+                    known_models[matrix].count += 1
+            elif topic.type in JOINT_TYPES:
                 sample = joints_of(opened.decode(message))
                 times.header_ns.append(sample.t_ns)
                 out.joints[message.topic].append(sample)
@@ -279,6 +301,9 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 times.header_ns.append(0)  # so that the stamps of the others stay theirs
             out.undecodable[message.topic] += 1
             out.first_undecodable.setdefault(message.topic, str(error))
+    for name, models in intrinsics.items():
+        if models:
+            out.cameras[name], out.camera_changes[name] = _of_most(models.values())
     _use_frame_times(out, frame_times)
     _place_streams(out, streams)
     _onto_the_stamps_clock(out)

@@ -19,6 +19,8 @@ LEAST_BESIDE = 5  # messages on each side
 MOST_STEPS = 100  # that are looked at; a stream with more has no clock that was set once
 MOST_DROPPED = 0.1  # share of a stream whose stamps can't be used; ours
 TWICE = 0.45  # share of a stream's stamps that another one has, where all come twice; ours
+# states, and share of the mean step between their stamps, below which most steps are bursts; ours
+LEAST_IN_BURSTS, BURST = 50, 0.1
 # ns, under which all fractions of a second are those of lost digits, stamps and s that must show it
 FRACTION_NS, LEAST_STAMPS, LEAST_S = 1_000_000, 10, 2.0
 LEAST_A_SECOND = 1.5  # messages; a camera that takes one a second may stamp whole seconds; ours
@@ -48,8 +50,26 @@ def stamp_checks(scan: Scan, roles: Roles, window: Window) -> list[Check]:
         count = len(scan.times[topic].log_ns)
         if topic not in cut and faults.dropped > MOST_DROPPED * count:
             failed.append(_dropped(role, faults, scan.times[topic].arrays()[0]))
+    failed += [
+        check
+        for topic in roles.joints
+        if (check := _in_bursts(topic, scan.times[topic].arrays()[0]))
+    ]
     steady = [topic for topic in topics if topic not in (*cut, roles.depth)]
     return [*failed, *_clock_steps(scan, steady)]
+
+
+def _in_bursts(topic: str, header_ns: Ints) -> Check | None:
+    """Whether states are stamped when they arrive in packets, and not when they were measured."""
+    stamps = np.unique(header_ns[header_ns > 0])
+    if len(stamps) < LEAST_IN_BURSTS:
+        return None
+    steps = np.diff(stamps) * 1e-9
+    if float(np.median(steps)) >= BURST * float(np.mean(steps)):
+        return None
+    what = f"the stamps of {topic} come in bursts, {np.quantile(steps, 0.99) * 1e3:.0f} ms apart: "
+    what += "those of their arrival, and where the robot was in between is not recorded"
+    return Check("stamps", what, "stamp the states where they are measured")
 
 
 def _lost_fractions(header_ns: Ints, log_ns: Ints) -> bool:

@@ -117,6 +117,11 @@ class TransformTree:
         self._forget()
         self.moving.pop(child, None)
 
+    def drop(self, child: str) -> None:
+        """Forget a frame's recorded parent, moving or static."""
+        self.drop_moving(child)
+        self.static.pop(child, None)
+
     def add_computed(self, parent: str, child: str, edge: Callable[[int], Array | None]) -> None:
         """Add a frame whose T_parent_child (4, 4) follows from a time, ns; None where unknown."""
         self._forget()

@@ -34,7 +34,7 @@ from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import ACCEPTED_TOPIC, CLOSE_EVENT, EventKind
 from dgeval.recording.copies import COUNTS_TWICE
-from dgeval.recording.events import Events, events_within
+from dgeval.recording.events import Events, events_within, started_twice
 from dgeval.recording.frame import Frame, MarkedThing
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.manifest import TrialSpec, find_trials
@@ -200,6 +200,7 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
         *roles.notes,
         *robot.notes,
         *camera.notes,
+        *started_twice(scanned.events, window.start_ns, window.end_ns),
         *events.notes(),
         *([] if spec.label or events.label() else unread_results(scanned)),
         *stamp_notes(window.stamp_faults),

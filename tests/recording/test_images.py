@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from dgeval.recording.image_codecs.pixels import Pixels
 from dgeval.recording.images import colour_from, decode_image, depth_from
 from dgeval.recording.messages import cloud_points
 from hypothesis import given
@@ -162,3 +163,20 @@ def test_clouds_of_any_layout_give_their_points(kind: str, datatype: int, big: b
     cloud.fields = fields[:2]
     with pytest.raises(ValueError, match="x, y, z"):
         cloud_points(cloud)
+
+
+def test_a_far_value_in_many_pixels_is_no_reading() -> None:
+    """Catches 10 m where a driver has nothing, and a far wall thrown away."""
+    near = np.linspace(0.4, 1.2, 100, dtype=np.float32).reshape(10, 10)
+    filled = near.copy()
+    filled[:3] = 10.0
+    read = depth_from(Pixels(filled, "32FC1"), None)
+    assert (read[:3] == 0).all()
+    assert (read[3:] == near[3:]).all()
+    assert not depth_from(Pixels(np.full((4, 4), 10.0, np.float32), "32FC1"), None).any()
+    wall = near.copy()
+    wall[:3] = 4.0
+    assert (depth_from(Pixels(wall, "32FC1"), None) == wall).all()
+    hall = np.linspace(1.0, 9.0, 100, dtype=np.float32).reshape(10, 10)
+    hall[0] = 9.0
+    assert (depth_from(Pixels(hall, "32FC1"), None) == hall).all()

@@ -10,12 +10,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
 import zstandard
 
 from dgeval.errors import Damage, Place, UndecodableError, describe
+from dgeval.recording.contract import DGEVAL_PREFIX, TRUTH_PREFIX
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAX_MESSAGE_BYTES = 1 << 30  # a frame that claims more is broken
@@ -89,6 +91,16 @@ def unpacked(message: RawMessage) -> RawMessage:
     return replace(message, data=data)
 
 
+OWN = (DGEVAL_PREFIX, TRUTH_PREFIX)  # topics of dgeval, which a namespace may stand before
+
+
+def ros_name(topic: str) -> str:
+    """A topic's name as ROS has it: with a slash before it, and without the `rt` that DDS puts
+    there, as a bridge or a recorder below ROS stores it.
+    """
+    return "/" + topic.removeprefix("rt/").lstrip("/")
+
+
 @dataclass
 class Opened:
     """A container with the checks that are the same for every format.
@@ -100,9 +112,24 @@ class Opened:
     path: Path
     counts: dict[str, int] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def topics(self) -> dict[str, Topic]:
-        return self.container.topics
+        """By the names that ROS has for them: see `ros_name`."""
+        return {new: replace(t, name=new) for new, t in self._stored.items()}
+
+    @cached_property
+    def _stored(self) -> dict[str, Topic]:
+        """The file's topics, by their names in ROS; two that would be one keep their own."""
+        names = [ros_name(name) for name in self.container.topics]
+        own = [next((n[n.index(p) :] for p in OWN if p in n), n) for n in names]
+        for k, (name, short) in enumerate(zip(names, own, strict=True)):
+            if name != short and own.count(short) == 1:
+                self.notes.append(f"{name} is read as {short}")
+                names[k] = short
+        return {
+            new if names.count(new) == 1 else old: topic
+            for (old, topic), new in zip(self.container.topics.items(), names, strict=True)
+        }
 
     @property
     def damage(self) -> list[Damage]:
@@ -128,7 +155,11 @@ class Opened:
         wanted = frozenset(self.topics) if topics is None else topics
         counts = dict.fromkeys(sorted(wanted), 0)
         last_ns: int | None = None
-        for message in self.container.messages(wanted):
+        stored = {self._stored[name].name: name for name in wanted if name in self._stored}
+        renamed = any(old != new for old, new in stored.items())
+        for message in self.container.messages(frozenset(stored)):
+            if renamed:
+                message = replace(message, topic=stored[message.topic])
             counts[message.topic] += 1
             last_ns = message.log_ns
             packed = self.topics[message.topic].encoding == "cdr"

@@ -51,8 +51,9 @@ def decode(message: Any) -> Pixels:
         raise ValueError(f"image encoding {message.encoding!r} is not one of {', '.join(LAYOUTS)}")
     dtype, channels = LAYOUTS[message.encoding]
     item = np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<")
-    height, width, step = int(message.height), int(message.width), int(message.step)
+    height, width = int(message.height), int(message.width)
     row = width * channels * item.itemsize
+    step = int(message.step) or row  # some drivers leave it out
     data = np.frombuffer(memoryview(message.data), dtype=np.uint8)
     if height <= 0 or width <= 0 or step < row or len(data) < step * (height - 1) + row:
         raise ValueError(
