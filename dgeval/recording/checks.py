@@ -6,7 +6,6 @@ the same ones. A check that a team knows of is accepted by name (`checks.accept`
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +46,8 @@ from dgeval.recording.splits import unread_part
 from dgeval.recording.stamp_checks import stamp_checks
 
 MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
+DRIFTS_S = 0.03  # s over a recording, that explain a scene that seems to move; ours
+BY_MOTION = ("depth_unit", "depth_offset", "intrinsics", "camera_poses", "clocks")  # checks by it
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 # of topics that may hold an outcome: words in their names, and their types
 RESULT_WORDS = ("success", "result", "outcome", "failed", "failure", "grasped")
@@ -90,12 +91,7 @@ def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | N
         return None, ""
     topic, apart = found
     if abs(apart) <= CLOCKS_TOLD_S:
-        stamped = [
-            n
-            for n, offset in sorted(_robot_topics(scan, roles, clock).items())
-            if _delay(scan, n, offset) is not None
-        ]
-        return None, _drift_note(scan, roles, stamped)
+        return None, _drift(scan, roles, clock, CLOCKS_TOLD_S)
     side = "behind" if apart > 0 else "ahead of"
     what = f"the camera's stamps are {abs(apart):.2f} s {side} those of {topic}, by the recorder"
     mend = f"set clock.colour.offset_ns={round(apart * 1e9) + clock.colour.offset_ns}"
@@ -121,9 +117,9 @@ def _delay(scan: Scan, topic: str | None, offset_ns: int) -> float | None:
     return float(np.median(log - header - offset_ns)) * 1e-9
 
 
-def _drift_note(scan: Scan, roles: Roles, robots: Iterable[str]) -> str:
-    """A note where the delay to the recorder changes over the recording by more for a topic of the
-    robot than for the camera; "" without.
+def _drift(scan: Scan, roles: Roles, clock: ClockConfig, least_s: float) -> str:
+    """What is said where the delay to the recorder changes over the recording by more than least_s
+    for a topic of the robot against the camera's; "" without.
     """
 
     def change(topic: str) -> float:
@@ -132,16 +128,32 @@ def _drift_note(scan: Scan, roles: Roles, robots: Iterable[str]) -> str:
         quarter = max(1, len(late) // 4)
         return float(np.median(late[-quarter:]) - np.median(late[:quarter]))
 
-    assert roles.colour is not None
+    stamped = [
+        n
+        for n, offset in sorted(_robot_topics(scan, roles, clock).items())
+        if _delay(scan, n, offset) is not None
+    ]
+    if roles.colour is None or _delay(scan, roles.colour, 0) is None or not stamped:
+        return ""
     of_camera = change(roles.colour)
-    apart = {topic: change(topic) - of_camera for topic in robots}
-    topic = max(sorted(apart), key=lambda t: abs(apart[t]))
-    if abs(apart[topic]) <= CLOCKS_TOLD_S:
+    apart = {topic: change(topic) - of_camera for topic in stamped}
+    topic = max(apart, key=lambda t: abs(apart[t]))
+    if abs(apart[topic]) <= least_s:
         return ""
     return (
         f"over the recording the stamps of {topic} move by {-apart[topic]:+.2f} s against those of "
         "the camera, by the recorder: does one clock run faster, or do messages queue up?"
     )
+
+
+def _by_a_drift(drift: str, checks: list[Check]) -> list[Check]:
+    """The checks, without those that a clock that runs faster explains, and with the clock's."""
+    explained = [check for check in checks if check.name in BY_MOTION]
+    if not drift or not explained:
+        return checks
+    what = f"{drift} It would explain this: {explained[0].what}"
+    others = [check for check in checks if check.name not in BY_MOTION]
+    return [*others, Check("clocks", what, "mend the clock: no setting makes up for its rate")]
 
 
 def failed_checks(
@@ -165,6 +177,8 @@ def failed_checks(
         failed.append(clocks)
     failed += stamp_checks(scan, roles, window)
     failed += [*_gap(window), *_ends_early(scan, roles, window)]
+    if clocks is None:
+        failed += _states_missing(robot, window)
     failed += [Check("joints", what, mend) for what, mend in joint_faults(robot)]
     other = other_hand(robot)
     if other is not None:
@@ -196,6 +210,7 @@ def failed_checks(
     later = window.pairs[len(seen) :]
     encoding = scan.images[roles.depth].encoding
     against, not_quite = frame_checks(reader, seen, later, encoding != "32FC1", clock)
+    against = _by_a_drift(_drift(scan, roles, clock, DRIFTS_S), against)
     failed += [check for check in against if check.name not in {c.name for c in failed}]
     if reader.camera.doubt:
         mend = "if so --set 'calibration.T_colour_depth=[0,0,0,0,0,0,1]', else the transform"
@@ -300,6 +315,23 @@ def _ends_early(scan: Scan, roles: Roles, window: Window) -> list[Check]:
         return []
     what = f"the images end {missing:.2f} s before the robot's states"
     return [Check("gap", what, "what happens there is not judged; look for the recorder's losses")]
+
+
+def _states_missing(robot: RobotStates, window: Window) -> list[Check]:
+    """Whether the joint states begin after, or end before, most of what the trial's images show."""
+    times = [t for t in robot.joints.times.values() if t]
+    if not times:
+        return []
+    first_ns, last_ns = min(t[0] for t in times), max(t[-1] for t in times)
+    late = (first_ns - window.pairs[0].t_ns) * 1e-9
+    early = (window.pairs[-1].t_ns - last_ns) * 1e-9
+    told = [f"begin {late:.2f} s after the first image"] * (late > LONGEST_GAP_S)
+    told += [f"end {early:.2f} s before the last image"] * (early > LONGEST_GAP_S)
+    if not told:
+        return []
+    what = f"the joint states {' and '.join(told)}"
+    mend = "where the robot is then, and whether it closes, is not known; record both all along"
+    return [Check("gap", what, mend)]
 
 
 def event_checks(

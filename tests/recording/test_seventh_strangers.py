@@ -243,6 +243,17 @@ def test_states_stamped_when_their_packet_arrives_fail_their_check(
     assert any("/joint_states come in bursts" in c.what for c in trial.checks)
 
 
+@pytest.mark.parametrize(("part", "told"), [(slice(0, 250), "end"), (slice(200, None), "begin")])
+def test_joint_states_of_a_part_of_the_trial_fail_a_check(
+    tmp_path: Path, messages: list[Message], part: slice, told: str
+) -> None:
+    """Fails where half of the camera's poses are enough, and a close that is not seen is none."""
+    states = [m for m in messages if m[1] == JOINTS]
+    others = [m for m in messages if m[1] != JOINTS]
+    trial = opened(write(tmp_path / "a.mcap", [*others, *states[part]]))
+    assert any(c.name == "gap" and f"the joint states {told}" in c.what for c in trial.checks)
+
+
 # pictures
 
 
@@ -255,6 +266,25 @@ def test_images_that_are_logged_late_are_no_clock_that_is_off(
     assert contents(trial) == original
     assert names(trial) == []
     assert any("they were logged late" in n for n in trial.notes)
+
+
+def test_a_camera_whose_clock_runs_faster_is_no_wrong_depth(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a factor of depth is printed, which makes it worse."""
+    first = min(m[0] for m in messages)
+    made = []
+    for m in messages:
+        if m[1] in (COLOUR, DEPTH, INFO):
+            value = copy.deepcopy(m[3])
+            stamp = value.header.stamp
+            after = stamp.sec * 1_000_000_000 + stamp.nanosec - first
+            stamp.sec, stamp.nanosec = divmod(first + after * 102 // 100, 1_000_000_000)
+            m = [*m[:3], value]
+        made.append(m)
+    trial = opened(write(tmp_path / "a.mcap", made))
+    assert names(trial) == ["clocks"]
+    assert "does one clock run faster" in trial.checks[0].what
 
 
 def test_intrinsics_of_a_former_mode_do_not_count(

@@ -1988,6 +1988,102 @@ MUTANTS = [
         "known |= kind == BOOL",
         "tests/recording/test_grippers.py",
     ),
+    Mutant(
+        "dgeval/recording/two_sources.py",
+        "if links & set(recorded.ancestors(parent)):",
+        "if not links & set(recorded.ancestors(parent)):",
+        "tests/recording/test_seventh_strangers.py::test_a_camera_in_a_map_of_its_own_leaves_the_robot_its_camera",
+    ),
+    Mutant(
+        "dgeval/recording/two_sources.py",
+        "if far <= APART_M and",
+        "if far <= 1.0 and",
+        "tests/recording/test_seventh_strangers.py::test_a_calibrated_mount_beside_a_nominal_one_is_told",
+    ),
+    Mutant(
+        "dgeval/recording/containers/container.py",
+        'topic.removeprefix("rt/")',
+        "topic",
+        "tests/recording/test_seventh_strangers.py::test_topics_by_other_middlewares_names",
+    ),
+    Mutant(
+        "dgeval/recording/containers/container.py",
+        "own.count(short) == 1",
+        "own.count(short) == 2",
+        "tests/recording/test_seventh_strangers.py::test_topics_by_other_middlewares_names",
+    ),
+    Mutant(
+        "dgeval/recording/roles.py",
+        "if topics[n].type == JOINT_STATE]",
+        "if topics[n].type != JOINT_STATE]",
+        "tests/recording/test_seventh_strangers.py::test_ros2_controls_own_states",
+    ),
+    Mutant(
+        "dgeval/recording/roles.py",
+        'presses = joint_owners(scan, topics, "efforts")',
+        "presses = joint_owners(scan, topics)",
+        "tests/recording/test_seventh_strangers.py::test_efforts_on_a_topic_of_their_own_are_the_joints",
+    ),
+    Mutant(
+        "dgeval/recording/images.py",
+        "if farthest < LEAST_FILLER_M:",
+        "if farthest > LEAST_FILLER_M:",
+        "tests/recording/test_images.py::test_a_far_value_in_many_pixels_is_no_reading",
+    ),
+    Mutant(
+        "dgeval/recording/image_codecs/raw.py",
+        "int(message.step) or row",
+        "int(message.step)",
+        "tests/recording/test_seventh_strangers.py::test_a_picture_without_a_step",
+    ),
+    Mutant(
+        "dgeval/recording/events.py",
+        "event.t_ns - out[-1].t_ns < PRESSED_AGAIN_NS",
+        "event.t_ns - out[-1].t_ns > PRESSED_AGAIN_NS",
+        "tests/recording/test_seventh_strangers.py::test_two_trials_stay_two",
+    ),
+    Mutant(
+        "dgeval/recording/scan.py",
+        "most = max(by_model",
+        "most = min(by_model",
+        "tests/recording/test_seventh_strangers.py::test_intrinsics_of_a_former_mode_do_not_count",
+    ),
+    Mutant(
+        "dgeval/recording/frame_checks.py",
+        "shifted is not None and shifted > CONTRADICTS",
+        "shifted is not None and shifted < CONTRADICTS",
+        "tests/recording/test_seventh_strangers.py::test_images_that_are_logged_late_are_no_clock_that_is_off",
+    ),
+    Mutant(
+        "dgeval/recording/stamp_checks.py",
+        ">= BURST * float",
+        "< BURST * float",
+        "tests/recording/test_seventh_strangers.py::test_states_stamped_when_their_packet_arrives_fail_their_check",
+    ),
+    Mutant(
+        "dgeval/recording/depth_unit.py",
+        "smoother = rough[1] < SMOOTHER",
+        "smoother = rough[1] > SMOOTHER",
+        "tests/recording/test_seventh_strangers.py::test_depth_whose_bytes_are_swapped_is_told_so",
+    ),
+    Mutant(
+        "dgeval/recording/checks.py",
+        "if not drift or not explained:",
+        "if drift or not explained:",
+        "tests/recording/test_seventh_strangers.py::test_a_camera_whose_clock_runs_faster_is_no_wrong_depth",
+    ),
+    Mutant(
+        "dgeval/recording/checks.py",
+        "* (early > LONGEST_GAP_S)",
+        "* (early > 9 * LONGEST_GAP_S)",
+        "tests/recording/test_seventh_strangers.py::test_joint_states_of_a_part_of_the_trial_fail_a_check",
+    ),
+    Mutant(
+        "dgeval/cli/boundary.py",
+        "    if not text:\n        raise typer",
+        "    if text is None:\n        raise typer",
+        "tests/recording/test_seventh_strangers.py::test_an_empty_path_is_not_the_working_folder",
+    ),
 ]
 
 
