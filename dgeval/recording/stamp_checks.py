@@ -50,11 +50,9 @@ def stamp_checks(scan: Scan, roles: Roles, window: Window) -> list[Check]:
         count = len(scan.times[topic].log_ns)
         if topic not in cut and faults.dropped > MOST_DROPPED * count:
             failed.append(_dropped(role, faults, scan.times[topic].arrays()[0]))
-    failed += [
-        check
-        for topic in roles.joints
-        if (check := _in_bursts(topic, scan.times[topic].arrays()[0]))
-    ]
+    states = [topic for topic in roles.joints if topic not in cut]
+    bursts = [_in_bursts(topic, scan.times[topic].arrays()[0]) for topic in states]
+    failed += [check for check in bursts if check is not None]
     steady = [topic for topic in topics if topic not in (*cut, roles.depth)]
     return [*failed, *_clock_steps(scan, steady)]
 

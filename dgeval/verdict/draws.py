@@ -60,7 +60,9 @@ def decide_scene(
     method: twin or geometry. min_probability: below which the answer is unknown. `Unknown` where
     the instrument can't be asked at all.
     """
-    doubt = too_uncertain(scene.sd_m) or gave_way(scene.held, scene.unseen_s(scene.reference))
+    doubt = too_uncertain(scene.sd_m) or gave_way(
+        scene.held, scene.close is not None, scene.unseen_s(scene.reference)
+    )
     if doubt is not None:
         return undecided(doubt.reason, method)
     made = draws_of(scene, method, draws, seed)

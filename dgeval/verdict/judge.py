@@ -210,7 +210,8 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
     if scene.held:
         notes.append(
             "verdict: someone holds the object; it is assumed to be let go once two fingers press "
-            "it for 0.1 s"
+            "it for 0.1 s, and how it gives way before is not modelled (of 9 simulated answers of "
+            "this kind 6 were right: take it as a hint)"
         )
     draws = decision.draws
     if draws.softened:

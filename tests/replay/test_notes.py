@@ -40,7 +40,7 @@ def test_notes_name_stand_ins_and_what_was_left_out() -> None:
     trial = trial_of(description=None)
     window = replace(trial.window, n_unmatched_colour=2, n_unmatched_depth=3)
     trial = replace(trial, window=window, notes=("of the recording",))
-    trial.reader.lost.count = 1
+    trial.reader.lost.times.add(1)
     config = load_config("dynamic", ("tracking.method=csrt", "grasps.source=recorded"))
     assert trial_notes(trial, config, FrameCounts(frames=9, no_depth=4)) == [
         "of the recording",
