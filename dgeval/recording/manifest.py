@@ -105,7 +105,7 @@ class TrialSpec:
     parts: tuple[Path, ...] = ()
     window_is_log_time: bool = False
     is_between_pauses: bool = False
-    repeats: str = ""
+    repeats: str | None = None
 
 
 def find_trials(paths: list[Path], events_topic: str | None = None) -> list[TrialSpec]:
@@ -134,7 +134,7 @@ def find_trials(paths: list[Path], events_topic: str | None = None) -> list[Tria
             )
     whole = [s.recording for s in specs if s.recording not in by_manifest and not s.parts]
     repeated = repeats(list(dict.fromkeys(whole)))
-    specs = [replace(s, repeats=repeated.get(s.recording, "")) for s in specs]
+    specs = [replace(s, repeats=repeated.get(s.recording)) for s in specs]
     ids = [s.id for s in specs]
     twice = sorted({i for i in ids if ids.count(i) > 1})
     if twice:

@@ -20,7 +20,7 @@ def test_a_copy_is_named(tmp_path: Path, demo: Path) -> None:
     for name in ("a.mcap", "copy of a.mcap"):
         shutil.copy(demo, tmp_path / name)
     first, second = find_trials([tmp_path])
-    assert (first.repeats, second.repeats) == ("", "the same bytes as a.mcap")
+    assert (first.repeats, second.repeats) == (None, "the same bytes as a.mcap")
     told = "this file is the same bytes as a.mcap: one trial that counts twice"
     assert told in open_trial(second, Config()).notes
     assert told not in open_trial(first, Config()).notes
@@ -34,7 +34,7 @@ def test_a_manifest_may_name_a_file_as_often_as_it_likes(tmp_path: Path, demo: P
         shutil.copy(demo, tmp_path / f"{name}.mcap")
         text += f'[[trial]]\nid = "{name}"\nrecording = "{name}.mcap"\n'
     (tmp_path / "two.toml").write_text(text)
-    assert [spec.repeats for spec in find_trials([tmp_path / "two.toml"])] == ["", ""]
+    assert [spec.repeats for spec in find_trials([tmp_path / "two.toml"])] == [None, None]
 
 
 def test_what_rosbag_reindex_leaves(tmp_path: Path) -> None:
