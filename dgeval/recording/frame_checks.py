@@ -23,7 +23,7 @@ from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.hand_seen import HandOff, hand_off
 from dgeval.recording.pairing import Pair
 from dgeval.recording.robot import states_period_s
-from dgeval.recording.scene_corrections import corrections
+from dgeval.recording.scene_corrections import corrections, poses_then
 from dgeval.recording.scene_motion import (
     CONTRADICTS,
     NOT_QUITE,
@@ -93,13 +93,8 @@ def stamps_fit(reader: FrameReader, pairs: tuple[Pair, ...], later_s: float) -> 
     share = seeming_motion(steps)
     if share is None or share > NOT_QUITE:
         return False
-    moved = []
-    for step in steps:
-        T_a, T_b = (
-            reader.robot.T_base_camera(t + round(later_s * 1e9)) for t in (step.t_a_ns, step.t_b_ns)
-        )
-        if T_a is not None and T_b is not None:
-            moved.append(replace(step, T_base_a=T_a, T_base_b=T_b))
+    then = poses_then(steps, reader.robot.T_base_camera, later_s)
+    moved = [replace(step, T_base_a=T_a, T_base_b=T_b) for step, T_a, T_b in then]
     shifted = seeming_motion(moved)
     return shifted is not None and shifted > CONTRADICTS
 

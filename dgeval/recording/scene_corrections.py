@@ -84,6 +84,15 @@ def _by_depth_or_focal(steps: Sequence[SceneStep]) -> list[tuple[float, Correcti
     ]
 
 
+def poses_then(
+    steps: Sequence[SceneStep], pose_at: Callable[[int], Array | None], later_s: float
+) -> list[tuple[SceneStep, Array, Array]]:
+    """The steps with the camera's poses `later_s` after their two times, where both are known."""
+    later_ns = round(later_s * 1e9)
+    found = ((s, pose_at(s.t_a_ns + later_ns), pose_at(s.t_b_ns + later_ns)) for s in steps)
+    return [(s, T_a, T_b) for s, T_a, T_b in found if T_a is not None and T_b is not None]
+
+
 def _later(
     steps: Sequence[SceneStep],
     pose_at: Callable[[int], Array | None],
@@ -95,11 +104,8 @@ def _later(
     """
     found = np.inf, Correction()
     for later_s in LATER_S:
-        moved = []
-        for step in steps:
-            T_a, T_b = (pose_at(t + round(later_s * 1e9)) for t in (step.t_a_ns, step.t_b_ns))
-            if T_a is not None and T_b is not None:
-                moved.append(made(step, T_a, T_b, float(later_s)))
+        then = poses_then(steps, pose_at, float(later_s))
+        moved = [made(step, T_a, T_b, float(later_s)) for step, T_a, T_b in then]
         if len(moved) < max(LEAST_STEPS, len(steps) - 1):
             continue
         left = _left([step for step, _ in moved], Correction())

@@ -951,8 +951,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/scene_corrections.py",
-        "pose_at(t + round(later_s * 1e9))",
-        "pose_at(t - round(later_s * 1e9))",
+        "later_ns = round(later_s * 1e9)",
+        "later_ns = round(-later_s * 1e9)",
         "tests/recording/test_scene_motion.py",
     ),
     Mutant(
