@@ -22,6 +22,7 @@ TO_RGB = {
     "mono8": cv2.COLOR_GRAY2RGB,
     "8UC1": cv2.COLOR_GRAY2RGB,
 }
+NO_READING = np.iinfo(np.uint16).max  # as some drivers write it
 DEPTH_ENCODINGS = frozenset({"16UC1", "mono16", "Z16", "32FC1"})
 
 
@@ -62,8 +63,10 @@ def depth_from(pixels: Pixels, scale: float | None) -> NDArray[np.float32]:
     if pixels.encoding not in DEPTH_ENCODINGS:
         raise ValueError(f"{pixels.encoding} is not a depth image")
     if pixels.array.dtype == np.uint16:
-        depth = pixels.array.astype(np.float32) * np.float32(0.001 if scale is None else scale)
-        depth[pixels.array == np.iinfo(np.uint16).max] = 0.0
+        depth = pixels.array.astype(np.float32)
+        depth *= np.float32(0.001 if scale is None else scale)
+        if pixels.array.max(initial=0) == NO_READING:
+            depth[pixels.array == NO_READING] = 0.0
     else:
         depth = pixels.array.astype(np.float32) * np.float32(1.0 if scale is None else scale)
         depth[~(np.isfinite(depth) & (depth > 0))] = 0.0

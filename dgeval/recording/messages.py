@@ -246,38 +246,46 @@ def cloud_points(message: Any) -> Array:
 class JointSample:
     """One JointState: positions, rad or m, and efforts, Nm or N, by joint name.
 
-    Values of 1e6 and more, infinite ones and NaN are left out.
+    Values of 1e6 and more, infinite ones and NaN are left out. unplaced_efforts: of a message with
+    another number of efforts than of joints; whose they are isn't known.
     """
 
     t_ns: int
     positions: dict[str, float]
     efforts: dict[str, float] = field(default_factory=dict)
+    unplaced_efforts: int = 0
 
 
 def joints_of(message: Any) -> JointSample:
-    """From a message of JOINT_TYPES; names without a value are left out."""
+    """From a message of JOINT_TYPES; joints without a value are left out, as are efforts whose
+    number is not that of the joints.
+
+    ValueError where the number of positions is not that of the joints: which is whose isn't known.
+    """
+    unplaced = 0
     if hasattr(message, "interface_values"):
-        given = zip(message.joint_names, message.interface_values, strict=False)
-        by_joint = {n: dict(zip(i.interface_names, i.values, strict=False)) for n, i in given}
+        given = zip(message.joint_names, message.interface_values, strict=True)
+        by_joint = {n: dict(zip(i.interface_names, i.values, strict=True)) for n, i in given}
         positions, efforts = (
             [(n, v[kind]) for n, v in by_joint.items() if kind in v]
             for kind in ("position", "effort")
         )
-    elif hasattr(message, "joint_names"):
-        point = message.feedback if hasattr(message, "feedback") else message.actual
-        positions, efforts = (
-            list(zip(message.joint_names, values, strict=False))
-            for values in (point.positions, point.effort)
-        )
     else:
-        positions, efforts = (
-            list(zip(message.name, values, strict=False))
-            for values in (message.position, message.effort)
-        )
+        if hasattr(message, "joint_names"):
+            point = message.feedback if hasattr(message, "feedback") else message.actual
+            names, at, forces = message.joint_names, point.positions, point.effort
+        else:
+            names, at, forces = message.name, message.position, message.effort
+        if len(names) and len(at) not in (0, len(names)):
+            raise ValueError(f"{len(at)} positions for {len(names)} joint names")
+        unplaced = len(forces) if len(forces) != len(names) else 0
+        positions = list(zip(names, at, strict=False))
+        efforts = [] if unplaced else list(zip(names, forces, strict=False))
     return JointSample(
         stamp_ns(message),
         {n: float(v) for n, v in positions if abs(v) < 1e6},
         {n: float(v) for n, v in efforts if abs(v) < 1e6},
+        unplaced,
     )
 
 

@@ -265,8 +265,8 @@ def merged_joints(scan: Scan, topics: tuple[str, ...]) -> list[JointSample]:
 
 
 def joint_notes(scan: Scan, topics: tuple[str, ...]) -> list[str]:
-    """What is said of the topics of joint states that are used: that several are, and of joints
-    that are known only as they were wanted.
+    """What is said of the topics of joint states that are used: that several are, of joints that
+    are known only as they were wanted, and of efforts that are nobody's.
     """
     owner = joint_owners(scan, topics)
     given = {*owner.values(), *joint_owners(scan, topics, "efforts").values()}
@@ -285,6 +285,13 @@ def joint_notes(scan: Scan, topics: tuple[str, ...]) -> list[str]:
             "measured positions are not recorded"
             for topic in sources
             if _has(topic, *WANTED) and topic in owner.values()
+        ]
+        + [
+            f"efforts of {topic} are left out: {unplaced[0].unplaced_efforts} of them for "
+            f"{len(unplaced[0].positions)} joints in {len(unplaced)} messages, "
+            "so whose they are is not known"
+            for topic in topics
+            if (unplaced := [s for s in scan.joints.get(topic, []) if s.unplaced_efforts])
         ]
     )
 

@@ -75,7 +75,7 @@ def _w_first(pose: Array) -> Array:
     return np.concatenate([pose[:3], np.roll(pose[3:], -1)])
 
 
-Ways = tuple[list[str], list[str]]
+Ways = tuple[tuple[str, ...], tuple[str, ...]]
 
 
 @dataclass
@@ -90,6 +90,7 @@ class TransformTree:
     _ways: dict[tuple[str, str], Ways | None] = field(default_factory=dict, repr=False)
     # the edges at the time that was asked for last, and that time; empty after any change
     _edges: dict[str, Array | None] = field(default_factory=dict, repr=False)
+    _back: dict[tuple[str, ...], Array | None] = field(default_factory=dict, repr=False)
     _edges_ns: int = 0
 
     def add_moving(self, t_ns: int, parent: str, child: str, pose: Array) -> None:
@@ -103,6 +104,7 @@ class TransformTree:
         """What was found out before a change."""
         self._ways.clear()
         self._edges.clear()
+        self._back.clear()
 
     def reparented(self) -> dict[str, list[str]]:
         """The frames whose parent changes, each with its parents by name."""
@@ -134,11 +136,15 @@ class TransformTree:
         if child in self.moving:
             parent, track = self.moving[child]
             other = replace(track, poses=[_w_first(pose) for pose in track.poses])
-            return replace(self, moving={**self.moving, child: (parent, other)}, _edges={})
+            return replace(
+                self, moving={**self.moving, child: (parent, other)}, _edges={}, _back={}
+            )
         if child in self.static:
             parent, T = self.static[child]
             turned = matrix_from_pose(_w_first(pose_from_matrix(T)))
-            return replace(self, static={**self.static, child: (parent, turned)}, _edges={})
+            return replace(
+                self, static={**self.static, child: (parent, turned)}, _edges={}, _back={}
+            )
         return None
 
     def add_static(self, parent: str, child: str, T_parent_child: Array) -> None:
@@ -174,12 +180,17 @@ class TransformTree:
 
     def _edge(self, child: str, t_ns: int) -> Array | None:
         """T_parent_child at a time; kept, as one time is asked for by camera, palm and fingers."""
-        if t_ns != self._edges_ns:
-            self._edges.clear()
-            self._edges_ns = t_ns
+        self._at(t_ns)
         if child not in self._edges:
             self._edges[child] = self._edge_at(child, t_ns)
         return self._edges[child]
+
+    def _at(self, t_ns: int) -> None:
+        """What is kept is of one time."""
+        if t_ns != self._edges_ns:
+            self._edges.clear()
+            self._back.clear()
+            self._edges_ns = t_ns
 
     def _edge_at(self, child: str, t_ns: int) -> Array | None:
         """T_parent_child at a time; a recorded edge goes before a computed one."""
@@ -195,20 +206,32 @@ class TransformTree:
         ways = self._ways_to(target, source, t_ns)
         if ways is None:
             return None
-        halves = []
-        for way in ways:
-            T: Array | None = None
-            for child in way:
-                edge = self._edge(child, t_ns)
-                if edge is None:
-                    return None
-                T = edge if T is None else edge @ T
-            halves.append(T)
-        T_common_target, T_common_source = halves
-        T_common_source = np.eye(4) if T_common_source is None else T_common_source
-        if T_common_target is None:
+        way_to_target, way_to_source = ways
+        T_common_source = self._along(way_to_source, t_ns)
+        if T_common_source is None:
+            return None
+        if not way_to_target:
             return T_common_source.copy()
-        return invert(T_common_target) @ T_common_source
+        T_target_common = self._back_along(way_to_target, t_ns)
+        return None if T_target_common is None else T_target_common @ T_common_source
+
+    def _along(self, way: tuple[str, ...], t_ns: int) -> Array | None:
+        """T_top_frame (4, 4) of the frames from one up to below the top; None if not known then."""
+        T: Array | None = None
+        for child in way:
+            edge = self._edge(child, t_ns)
+            if edge is None:
+                return None
+            T = edge if T is None else edge @ T
+        return np.eye(4) if T is None else T
+
+    def _back_along(self, way: tuple[str, ...], t_ns: int) -> Array | None:
+        """The inverse of `_along`; kept, as each link of a hand is asked for in the camera."""
+        self._at(t_ns)
+        if way not in self._back:
+            T = self._along(way, t_ns)
+            self._back[way] = None if T is None else invert(T)
+        return self._back[way]
 
     def _ways_to(self, target: str, source: str, t_ns: int) -> Ways | None:
         """The frames from target and from source up to the first that is above both."""
@@ -218,7 +241,10 @@ class TransformTree:
         common = next((f for f in up_source if f in up_target), None)
         ways = None
         if common is not None:
-            ways = up_target[: up_target.index(common)], up_source[: up_source.index(common)]
+            ways = (
+                tuple(up_target[: up_target.index(common)]),
+                tuple(up_source[: up_source.index(common)]),
+            )
         passed = (f for f in (*up_target, *up_source) if f in self.moving)
         if all(self.moving[f][1].has_one_parent for f in passed):  # it is the same at all times
             self._ways[target, source] = ways

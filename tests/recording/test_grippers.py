@@ -246,7 +246,7 @@ def test_an_effort_that_rises_before_the_lift(tmp_path: Path, messages: list[Mes
                 value = TYPES[m[2]](
                     header=value.header,
                     name=[*value.name, "gripper_motor"],
-                    position=value.position,
+                    position=np.append(value.position, np.nan),
                     velocity=value.velocity,
                     effort=np.array([0.0] * len(value.name) + [most * after + 0.01 * rng.normal()]),
                 )
