@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dgeval.cli.boundary import command, print_json
+from dgeval.cli.boundary import command, given_path, print_json
 
 EXAMPLES = """\b
 Examples:
@@ -23,8 +23,12 @@ p = 0.06); six are.
 
 @command
 def compare(
-    old: Annotated[Path, typer.Argument(help="Run folder to compare against.", metavar="A")],
-    new: Annotated[Path, typer.Argument(help="Run folder of the change.", metavar="B")],
+    old: Annotated[
+        Path, typer.Argument(help="Run folder to compare against.", metavar="A", parser=given_path)
+    ],
+    new: Annotated[
+        Path, typer.Argument(help="Run folder of the change.", metavar="B", parser=given_path)
+    ],
     out: Annotated[
         Path | None, typer.Option(help="Folder for compare.html, compare.md and compare.json.")
     ] = None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dgeval.cli.boundary import command, print_json
+from dgeval.cli.boundary import command, given_path, print_json
 from dgeval.recording.check import PART_CHECK
 
 if TYPE_CHECKING:
@@ -28,7 +28,9 @@ DAYS_OF_A_CLOCK_S = 1e8
 
 @command
 def inspect(
-    path: Annotated[Path, typer.Argument(help="A recording.")],
+    path: Annotated[
+        Path, typer.Argument(help="A recording.", metavar="RECORDING", parser=given_path)
+    ],
     pipeline: Annotated[
         str, typer.Option(help="dynamic, or a FILE.toml whose roles and clocks apply.")
     ] = "dynamic",

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dgeval.cli.boundary import command, print_json
+from dgeval.cli.boundary import command, given_path, print_json
 
 EXAMPLES = """\b
 Examples:
@@ -24,7 +24,12 @@ Exit codes: 0 passed, or undecided with a warning (inconclusive; facts of the lo
 
 @command
 def regress(
-    dataset: Annotated[Path, typer.Argument(help="Manifest (.toml), recording or folder.")],
+    dataset: Annotated[
+        Path,
+        typer.Argument(
+            help="Manifest (.toml), recording or folder.", metavar="DATASET", parser=given_path
+        ),
+    ],
     baseline: Annotated[Path, typer.Option(help="Baseline file, as --update writes it.")],
     out: Annotated[
         Path, typer.Option(help="Folder of the run, junit.xml, regress.md, regress.html.")

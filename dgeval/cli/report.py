@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dgeval.cli.boundary import command, print_json
+from dgeval.cli.boundary import command, given_path, print_json
 
 EXAMPLES = """\b
 Examples:
@@ -19,7 +19,9 @@ Examples:
 
 @command
 def report(
-    runs: Annotated[list[Path], typer.Argument(help="Run folders.", metavar="RUN…")],
+    runs: Annotated[
+        list[Path], typer.Argument(help="Run folders.", metavar="RUN…", parser=given_path)
+    ],
     out: Annotated[
         Path | None, typer.Option(help="Folder for report.html; default: the first run folder.")
     ] = None,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dgeval.cli.boundary import command, print_json
+from dgeval.cli.boundary import command, given_path, print_json
 
 EXAMPLES = """\b
 Examples:
@@ -19,7 +19,7 @@ Examples:
 
 @command
 def show(
-    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    run: Annotated[Path, typer.Argument(help="Run folder.", metavar="RUN", parser=given_path)],
     trial: Annotated[str, typer.Argument(help="Trial id.")],
     figure: Annotated[
         Path | None,

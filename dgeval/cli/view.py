@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dgeval.cli.boundary import command
+from dgeval.cli.boundary import command, given_path
 
 EXAMPLES = """\b
 Examples:
@@ -18,7 +18,7 @@ Examples:
 
 @command
 def view(
-    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    run: Annotated[Path, typer.Argument(help="Run folder.", metavar="RUN", parser=given_path)],
     trial: Annotated[str, typer.Argument(help="Trial id.")],
     path: Annotated[
         bool, typer.Option("--path", help="Print where the recording is instead of opening it.")

@@ -78,10 +78,11 @@ def is_aligned_by_name(scan: Scan, colour: ImageHead, depth: ImageHead, topic: s
     """Whether a depth topic's name says that it is aligned, and its frame, which nothing places,
     says nothing: some drivers give aligned depth a frame of its own that they never publish.
     """
-    placed = _parents(scan)
-    known = placed.keys() | {parent for parent, _ in placed.values()}
     same_size = (colour.width, colour.height) == (depth.width, depth.height)
-    return same_size and _has(topic, *ALIGNED_TO_COLOUR) and depth.frame_id not in known
+    if not same_size or not _has(topic, *ALIGNED_TO_COLOUR):
+        return False
+    placed = _parents(scan)
+    return depth.frame_id not in placed.keys() | {parent for parent, _ in placed.values()}
 
 
 def choose_camera(

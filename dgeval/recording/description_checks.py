@@ -11,12 +11,10 @@ import numpy as np
 
 from dgeval.geometry import Array, invert, matrix_from_pose, rotation_angle
 from dgeval.recording.robot import RobotStates
+from dgeval.recording.two_sources import APART_M, APART_RAD
 from dgeval.robots.description import Description, Joint
 
-SAMPLED, LEAST_SAMPLES = 40, 5  # of a transform, that are compared
-# m and rad, in the median, by which a transform may differ: tf and joint states are seldom of one
-# moment; ours
-APART_M, APART_RAD = 0.005, 0.06
+SAMPLED, LEAST_SAMPLES = 40, 5  # of a transform, that are compared; ours
 
 
 def other_hand(robot: RobotStates) -> str | None:

@@ -15,7 +15,9 @@ from dgeval.geometry import invert, rotation_angle
 from dgeval.recording.transforms import TransformTree
 from dgeval.robots.description import Description
 
-APART_M, APART_RAD = 0.005, 0.06  # as in `description_checks`; ours
+# m and rad, in the median, by which two sources of one transform may differ: tf and joint states
+# are seldom of one moment; ours
+APART_M, APART_RAD = 0.005, 0.06
 SAMPLED, LEAST_SAMPLES = 20, 3  # times at which both are compared, and at which both are known
 
 

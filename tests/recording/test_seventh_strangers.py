@@ -371,3 +371,16 @@ def test_an_empty_path_is_not_the_working_folder() -> None:
     with pytest.raises(BadParameter, match="an empty path"):
         given_path("")
     assert given_path(".") == Path()
+
+
+@pytest.mark.parametrize(
+    "args",
+    [["inspect"], ["replay"], ["report"], ["regress", "--baseline", "x"], ["compare", "a"]],
+)
+def test_every_command_refuses_an_empty_path(args: list[str]) -> None:
+    from dgeval.cli import app
+    from typer.testing import CliRunner
+
+    done = CliRunner().invoke(app, [*args, ""])
+    assert done.exit_code == 2
+    assert "an empty path" in done.output
