@@ -46,7 +46,9 @@ class RolesConfig(Section):
     hand_joints: str | None = None
     events: str | None = None
     target: str | None = Field(
-        None, description="masks, vision_msgs detections or poses that mark the target"
+        None,
+        description="topic of masks, vision_msgs detections or poses that mark the target, or its "
+        "frame on /tf",
     )
 
 

@@ -21,7 +21,7 @@ from dgeval.recording.containers.container import Opened
 from dgeval.recording.detections import Detection
 from dgeval.recording.frame import MarkedThing
 from dgeval.recording.images import decode_image
-from dgeval.recording.messages import stamp_ns
+from dgeval.recording.messages import StampedPose, stamp_ns
 from dgeval.recording.pairing import Pair
 from dgeval.recording.robot import RobotStates
 from dgeval.recording.roles import same_shape
@@ -174,7 +174,15 @@ def _marks_of_topic(
         return _of_masks(scan.opened, topic, camera, unused)
     if topic in scan.detections:
         return _of_detections(scan.detections[topic], topic, camera, robot, unused)
-    return _of_poses(scan, topic, camera, robot, unused)
+    poses = scan.poses.get(topic) or frame_on_tf(scan, topic)
+    return _of_poses(poses, topic, camera, robot, unused)
+
+
+def frame_on_tf(scan: Scan, frame: str) -> list[StampedPose]:
+    """The samples of a frame on /tf, as estimators of an object's pose publish it; with the stamps
+    as they are, those of the pictures.
+    """
+    return [edge for heard in scan.tf.values() for edge in heard.moving if edge.child == frame]
 
 
 def _of_masks(opened: Opened, topic: str, camera: Camera, unused: Counter[str]) -> Iterator[Mark]:
@@ -267,11 +275,15 @@ def _of_detections(
 
 
 def _of_poses(
-    scan: Scan, topic: str, camera: Camera, robot: RobotStates, unused: Counter[str]
+    poses: list[StampedPose],
+    topic: str,
+    camera: Camera,
+    robot: RobotStates,
+    unused: Counter[str],
 ) -> list[Mark]:
     out = []
     around = ABOUT_M * np.array(list(product((-1, 1), repeat=3)), dtype=float)
-    for pose in scan.poses.get(topic, []):
+    for pose in poses:
         T = _T_camera_frame(pose.parent, pose.t_ns, robot)
         if T is None:
             unused[f"{topic}: in a frame that the tree doesn't have, {pose.parent}"] += 1

@@ -31,7 +31,7 @@ SAME_JOINT = 0.02  # rad or m; two topics that differ by less give one joint's p
 # words in the name of a mask that is not of an object
 NO_TARGET_MASK = ("valid", "self", "robot", "arm_mask", "confidence", "filter")
 SAME_SHAPE = 0.01  # share; a mask whose sides have the picture's ratio within this shows all of it
-MASK_ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1")
+MASK_ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1", "32SC1")
 # parts of a topic's name that say that its joint states were wanted, not measured
 WANTED = ("desired", "command", "cmd", "target", "reference", "setpoint", "goal")
 # parts of a topic's name that rule it out as the camera or a state of the robot
@@ -150,7 +150,9 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
 
 
 def _target_topics(scan: Scan, colour: str | None) -> tuple[str, ...]:
-    """The robot's mask, else all masks of the colour picture, else detections, else poses."""
+    """The robot's mask, else all masks of the colour picture, else detections, else poses, else
+    frames on /tf.
+    """
     head = scan.images.get(colour or "")
     if head is None:
         return ()
@@ -167,7 +169,9 @@ def _target_topics(scan: Scan, colour: str | None) -> tuple[str, ...]:
     own = [n for n in scan.images if n == MASK_TOPIC and is_mask(n)]
     masks = [n for n in theirs(scan.images) if n != colour and is_mask(n)]
     poses = [n for n in theirs(scan.poses) if _has(n, "object")]
-    kinds = (own, masks, theirs(scan.detections), poses)
+    on_tf = {edge.child for heard in scan.tf.values() for edge in heard.moving}
+    frames = sorted(n for n in on_tf if _has(n, "object"))
+    kinds = (own, masks, theirs(scan.detections), poses, frames)
     return next((tuple(names) for names in kinds if names), ())
 
 

@@ -128,10 +128,13 @@ def test_a_mask_is_the_target(tmp_path: Path, unmarked: list[Message]) -> None:
     assert (target.topic, target.box) == ("/segmentation/mask", BOX)
 
 
+@pytest.mark.parametrize("name", ["/object_pose", "fp_object"])
 def test_the_pose_of_an_object_finds_the_thing_there(
-    tmp_path: Path, unmarked: list[Message]
+    tmp_path: Path, unmarked: list[Message], name: str
 ) -> None:
-    """Fails where a pose is passed over, or its point taken for the object's size."""
+    """Fails where a pose, on a topic of its own or on /tf, is passed over, or its point taken for
+    the object's size.
+    """
     automatic = found(write(tmp_path / "b.mcap", unmarked))
     trial = opened(tmp_path / "b.mcap")
     frame = next(f for f in trial.frames())
@@ -147,10 +150,21 @@ def test_the_pose_of_an_object_finds_the_thing_there(
             orientation=TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
         ),
     )
-    listed = [*unmarked, [first[0] + 1, "/object_pose", "geometry_msgs/msg/PoseStamped", stamped]]
-    target = found(write(tmp_path / "a.mcap", listed))
+    made: Message = [first[0] + 1, name, "geometry_msgs/msg/PoseStamped", stamped]
+    if not name.startswith("/"):
+        edge = TYPES["geometry_msgs/msg/TransformStamped"](
+            header=stamped.header,
+            child_frame_id=name,
+            transform=TYPES["geometry_msgs/msg/Transform"](
+                translation=TYPES["geometry_msgs/msg/Vector3"](x=place[0], y=place[1], z=place[2]),
+                rotation=stamped.pose.orientation,
+            ),
+        )
+        kind = "tf2_msgs/msg/TFMessage"
+        made = [first[0] + 1, "/tf", kind, TYPES[kind](transforms=[edge])]
+    target = found(write(tmp_path / "a.mcap", [*unmarked, made]))
     assert target is not None
-    assert target.topic == "/object_pose"
+    assert target.topic == name
     assert target.box == pytest.approx(automatic.box, abs=3)
 
 

@@ -25,28 +25,30 @@ def unmarked(messages: list[Message]) -> list[Message]:
     return [m for m in messages if m[1] != "/dgeval/belief/mask"]
 
 
-def labels(size: tuple[int, int]) -> Any:
+def labels(size: tuple[int, int], kind: str = "mono16") -> Any:
     """Two things of a label image: 1 in a corner, 300 in BOX; size: width, height px."""
 
     def made(header: Any) -> Any:
         scale = size[0] / 320
-        pixels = np.zeros(size[::-1], np.uint16)
+        pixels = np.zeros(size[::-1], np.int32 if kind == "32SC1" else np.uint16)
         pixels[: round(20 * scale), : round(30 * scale)] = 1
         x0, y0, x1, y1 = (round(v * scale) for v in BOX)
         cv2.rectangle(pixels, (x0, y0), (x1 - 1, y1 - 1), 300, -1)
-        return image(type("Like", (), {"header": header}), pixels, "mono16")
+        return image(type("Like", (), {"header": header}), pixels, kind)
 
     return made
 
 
-@pytest.mark.parametrize("size", [(320, 240), (160, 120)])
+@pytest.mark.parametrize(
+    ("size", "kind"), [((320, 240), "mono16"), ((160, 120), "mono16"), ((320, 240), "32SC1")]
+)
 def test_every_frame_gets_what_is_marked_in_it(
-    tmp_path: Path, unmarked: list[Message], size: tuple[int, int]
+    tmp_path: Path, unmarked: list[Message], size: tuple[int, int], kind: str
 ) -> None:
     """Fails where labels are cut to a byte, a mask of half the size is not scaled, a mark goes to
     the next picture, or frames without one say nothing.
     """
-    listed = with_marks(unmarked, "/segmentation/mask", "sensor_msgs/msg/Image", labels(size))
+    listed = with_marks(unmarked, "/segmentation/mask", "sensor_msgs/msg/Image", labels(size, kind))
     path = write(tmp_path / "a.mcap", listed)
     trial = opened(path, RECORDED)
     colours = [m for m in unmarked if m[1] == COLOUR]

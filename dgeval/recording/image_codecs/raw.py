@@ -22,6 +22,7 @@ LAYOUTS = {
     "mono16": (np.uint16, 1),
     "Z16": (np.uint16, 1),
     "32FC1": (np.float32, 1),
+    "32SC1": (np.int32, 1),  # of a segmentation's labels
     "rgb16": (np.uint16, 3),
     "bgr16": (np.uint16, 3),
     "16UC3": (np.uint16, 3),
