@@ -15,6 +15,7 @@ from dgeval.recording.messages import pose_numbers, stamp_ns
 class Detection:
     """One thing that a detector saw. box: px of the picture as recorded; of a 3-D detection it is
     None, and T_frame_box (4, 4) and size (3,) m are known. name: the same in every message, or "".
+    score: of its likeliest hypothesis, 0 to 1; None without one.
     """
 
     t_ns: int
@@ -23,6 +24,7 @@ class Detection:
     T_frame_box: Array | None = None
     size: tuple[float, float, float] = (0.0, 0.0, 0.0)
     name: str = ""
+    score: float | None = None
 
 
 DETECTION_TYPES = frozenset(
@@ -43,12 +45,12 @@ def detections_of(message: Any) -> list[Detection]:
     for one in listed:
         t_ns = stamp_ns(one) or stamp
         here = one.header.frame_id.lstrip("/") or frame
-        name = str(getattr(one, "id", ""))
+        name, score = str(getattr(one, "id", "")), _score(one)
         if hasattr(one.bbox, "size"):
             size = tuple(float(getattr(one.bbox.size, axis)) for axis in "xyz")
             centre = one.bbox.center
             pose = matrix_from_pose(pose_numbers(centre.position, centre.orientation))
-            out.append(Detection(t_ns, here, None, pose, size, name))  # type: ignore[arg-type]
+            out.append(Detection(t_ns, here, None, pose, size, name, score))  # type: ignore[arg-type]
             continue
         centre = one.bbox.center
         at = getattr(centre, "position", centre)
@@ -59,5 +61,14 @@ def detections_of(message: Any) -> list[Detection]:
         c, s = abs(np.cos(theta)), abs(np.sin(theta))
         half = float(w * c + h * s) / 2, float(w * s + h * c) / 2
         box = (x - half[0], y - half[1], x + half[0], y + half[1])
-        out.append(Detection(t_ns, here, box, name=name))
+        out.append(Detection(t_ns, here, box, name=name, score=score))
     return out
+
+
+def _score(one: Any) -> float | None:
+    """The highest score of a detection's hypotheses, in either version of their message; None
+    where none lies in 0 to 1, or all are 0, as of a detector that doesn't fill it.
+    """
+    listed = [getattr(r, "hypothesis", r).score for r in getattr(one, "results", ())]
+    known = [float(v) for v in listed if 0 < v <= 1]
+    return max(known, default=None)

@@ -18,6 +18,7 @@ class MarkedThing:
     box: x0 y0 x1 y1 px, of the picture as frames hold it. name: what the log calls it in every
     picture; "" where it doesn't. pixels (h, w): of the box, of a mask only. T_camera_object (4, 4):
     of a pose only. is_point: the box is around the pose's origin and says nothing of the size.
+    score: 0 to 1, of a detector that gives one.
     """
 
     box: Box
@@ -25,6 +26,7 @@ class MarkedThing:
     pixels: NDArray[np.bool_] | None = None
     T_camera_object: Array | None = None
     is_point: bool = False
+    score: float | None = None
 
 
 @dataclass(frozen=True)

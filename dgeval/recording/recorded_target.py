@@ -269,7 +269,7 @@ def _of_detections(
             box = _seen(transform(T, _corners(d)), camera)
         if box is not None:
             name = f"{topic}#{d.name}" if d.name else ""
-            thing = MarkedThing(box, name, T_camera_object=T_camera_object)
+            thing = MarkedThing(box, name, T_camera_object=T_camera_object, score=d.score)
             by_time.setdefault(d.t_ns, []).append(thing)
     return [Mark(topic, t, tuple(by_time[t])) for t in sorted(by_time)]
 

@@ -91,11 +91,13 @@ def test_the_named_thing_is_followed_past_another(made: Made) -> None:
 
     def things(k: int, frame: Frame, box: tuple[float, ...]) -> tuple[MarkedThing, ...]:
         there = made[1][k - 1] if k else OTHER  # the other one is where the target was before
-        return MarkedThing(there, "other"), MarkedThing(box, "target")  # type: ignore[arg-type]
+        other = MarkedThing(there, "other", score=0.9)  # type: ignore[arg-type]
+        return other, MarkedThing(box, "target", score=0.4)  # type: ignore[arg-type]
 
     steps = run(marked(made, things), made[1][0], "tracking.method=recorded")
     for k, step in enumerate(steps):
         assert step.tracked.box == (None if k in UNSEEN else made[1][k])
+        assert step.tracked.confidence == (None if k in UNSEEN else 0.4)
     assert sum(step.accepted for step in steps) >= 15
 
 

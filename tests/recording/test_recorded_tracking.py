@@ -14,7 +14,7 @@ import pytest
 from dgeval.errors import UnreadableError
 from dgeval.recording.pairing import Pair
 from dgeval.recording.recorded_target import near_enough
-from tests.recording.recorders import COLOUR, TYPES, Message, image, opened, write
+from tests.recording.recorders import COLOUR, TYPES, Message, image, of, opened, write
 from tests.recording.test_recorded_target import ARRAY_2D, BOX, flat, with_marks
 
 RECORDED = "tracking.method=recorded"
@@ -65,17 +65,35 @@ def test_every_frame_gets_what_is_marked_in_it(
     assert any("marks something in" in note for note in trial.notes)
 
 
-def test_the_names_of_detections_are_kept(tmp_path: Path, unmarked: list[Message]) -> None:
-    """Fails where a tracker's own id is dropped, so that another thing may be taken."""
+def test_names_and_scores_of_detections_are_kept(tmp_path: Path, unmarked: list[Message]) -> None:
+    """Fails where a tracker's own id is dropped, so that another thing may be taken, or its score,
+    so that nothing says how sure it is.
+    """
 
     def named(header: Any) -> Any:
         listed = flat(header, BOX)
         listed.detections[0].id = "7"
+        at = TYPES["geometry_msgs/msg/PoseWithCovariance"](
+            pose=TYPES["geometry_msgs/msg/Pose"](
+                position=TYPES["geometry_msgs/msg/Point"](x=0.0, y=0.0, z=0.0),
+                orientation=TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+            ),
+            covariance=np.zeros(36),
+        )
+        listed.detections[0].results = [
+            of(
+                "ObjectHypothesisWithPose",
+                hypothesis=of("ObjectHypothesis", class_id="mug", score=score),
+                pose=at,
+            )
+            for score in (0.3, 0.75)
+        ]
         return listed
 
     path = write(tmp_path / "a.mcap", with_marks(unmarked, "/detections", ARRAY_2D, named))
     frame = next(f for f in opened(path, RECORDED).frames() if f.marked)
     assert [thing.name for thing in frame.marked] == ["/detections#7"]
+    assert frame.marked[0].score == 0.75
 
 
 def test_a_log_that_marks_nothing_is_refused_with_the_mend(

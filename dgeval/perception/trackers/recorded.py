@@ -65,7 +65,7 @@ class RecordedTracker:
             return Tracked("lost", plane=tracked.plane)
         self._name, self._box = thing.name, tracked.box
         reacquired, self._was_lost = self._was_lost, False
-        return replace(tracked, reacquired=reacquired)
+        return replace(tracked, reacquired=reacquired, confidence=thing.score)
 
     def _chosen(self, things: tuple[MarkedThing, ...]) -> MarkedThing | None:
         """The thing of the target's name, of several the one where the target was last.
