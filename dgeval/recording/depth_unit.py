@@ -18,6 +18,7 @@ from dgeval.recording.frame import Frame
 SMOOTHER = 0.1  # times as rough, at most, is depth whose swapped bytes are put right; ours
 # m, between which the middle depth of a manipulation scene lies; ours
 LEAST_DEPTH_M, MOST_DEPTH_M = 0.08, 10.0
+LEAST_CUT = 0.05  # share of the readings that have the largest one, where depth is cut there; ours
 FACTORS = np.geomspace(0.03, 30.0, 41)  # tried; neighbours differ by 19 %
 LEAST_VOTES, AGREE = 3, 1.5  # pairs that must vote, and the factor within which half must agree
 # times, by which depth must be too large to be called wrong; something that comes towards the
@@ -65,6 +66,21 @@ def bytes_swapped(frames: Sequence[Frame], scale: float | None) -> float | None:
     middle = float(np.median(known))
     smoother = rough[1] < SMOOTHER * rough[0]
     return middle if smoother and LEAST_DEPTH_M <= middle <= MOST_DEPTH_M else None
+
+
+def cut_at(frames: Sequence[Frame]) -> tuple[float, float] | None:
+    """The depth, m, at which a driver cuts all that is farther, and its share of the readings.
+
+    None unless it is the largest reading, exactly, in three frames or more, and a large part of
+    each of these: what a scene has there differs from frame to frame.
+    """
+    readings = [f.depth[f.depth > 0] for f in frames]
+    farthest = max((float(r.max(initial=0.0)) for r in readings), default=0.0)
+    shares = [float(np.mean(r == np.float32(farthest))) for r in readings if len(r)]
+    reached = [share for share in shares if share]
+    if len(reached) < 3 or float(np.median(reached)) < LEAST_CUT:
+        return None
+    return farthest, float(np.median(reached))
 
 
 def factor_by_motion(pairs: Sequence[MovedPair]) -> float | None:

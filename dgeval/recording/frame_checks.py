@@ -17,7 +17,7 @@ from dgeval.recording.camera_motion import moved_pairs
 from dgeval.recording.camera_poses import wrong_poses
 from dgeval.recording.check import Check
 from dgeval.recording.depth_edges import DepthOff, depth_off
-from dgeval.recording.depth_unit import bytes_swapped, wrong_unit
+from dgeval.recording.depth_unit import bytes_swapped, cut_at, wrong_unit
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.hand_seen import HandOff, hand_off
@@ -71,7 +71,7 @@ def frame_checks(
     if beside is not None and (beside.turned or beside.share >= MUST_TELL_BESIDE):
         return [Check("alignment", what, mend)], ""
     failed, note = _of_camera(reader, frames, is_integer, clock)
-    notes = [what and f"{what}: {mend}", note]
+    notes = [what and f"{what}: {mend}", note, _cut(frames)]
     description = reader.robot.description
     off = None if failed or description is None else hand_off(seen, description.outlines)
     if off is not None:
@@ -81,6 +81,18 @@ def frame_checks(
         else:
             notes.append(f"{check.what}; {check.mend}")
     return failed, "; ".join(text for text in notes if text)
+
+
+def _cut(frames: list[Frame]) -> str:
+    """A note on depth that ends at one value; "" where it doesn't."""
+    found = cut_at(frames)
+    if found is None:
+        return ""
+    return (
+        f"{found[1]:.0%} of the depth readings are exactly {found[0]:.3f} m, and none is farther: "
+        "if depth is cut there, all that is farther is taken for nearer than it is; "
+        "record it uncut, or with 0 in its place"
+    )
 
 
 def stamps_fit(reader: FrameReader, pairs: tuple[Pair, ...], later_s: float) -> bool:

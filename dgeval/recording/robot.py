@@ -285,6 +285,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         notes.extend(mounts)
         changed += [(what, "publish the frame once") for what in elsewhere]
         _add_joints(tree, description, joints, max_gap_ns)
+    _add_odometry(tree, scan, roles, offset)
     if config.calibration.T_flange_camera is not None:
         if config.calibration.flange is None:
             raise UsageError(
@@ -372,6 +373,21 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         tuple(samples),
         config.hand,
     )
+
+
+def _add_odometry(tree: TransformTree, scan: Scan, roles: Roles, offset_ns: int) -> None:
+    """Put the robot's topmost frame where odometry has it, as far as that moves it and no other
+    transform does: many bases that drive publish no transform of it.
+    """
+    for topic in sorted(scan.poses.keys() - {roles.camera_pose, roles.hand_pose}):
+        poses = scan.poses[topic]
+        child = poses[0].child if poses else ""
+        if child not in tree.frames() or tree.parent(child) is not None:
+            continue
+        if float(np.ptp([pose.pose for pose in poses], axis=0).max()) <= SAME_POSE:
+            continue
+        for pose in poses:
+            tree.add_moving(pose.t_ns + offset_ns, pose.parent or ODOMETRY, child, pose.pose)
 
 
 def _base_above(tree: TransformTree, camera: str) -> str | None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from dgeval.config import PIPELINES, Config
 from dgeval.paper_values import CHOICE, CONTROL, PERCEPTION, departure_note
 from dgeval.perception.trackers import tracker_named
@@ -22,7 +24,8 @@ class FrameCounts:
 
     lost: the tracker had lost the target. predicted: no accepted registration. no_depth: the
     target was tracked, but without usable depth on it. no_hand: the hand's shape was not known.
-    no_grasp: there were candidates, and none was chosen.
+    no_grasp: there were candidates, and none was chosen. not_started: nothing was found to follow.
+    holes: sum over the frames of the share of the picture without depth.
     """
 
     frames: int = 0
@@ -32,6 +35,8 @@ class FrameCounts:
     no_hand: int = 0
     no_grasp: int = 0
     no_seed: int = 0
+    not_started: int = 0
+    holes: float = 0.0
 
     def with_frame(self, step: Step) -> FrameCounts:
         """The counts after one more frame."""
@@ -47,6 +52,10 @@ class FrameCounts:
             no_hand=self.no_hand + (step.frame.hand is None),
             no_seed=self.no_seed + (step.vfas is None),
             no_grasp=self.no_grasp + (grasps is not None and grasps.choice is None),
+            not_started=self.not_started + (state == "not_started"),
+            holes=self.holes
+            + 1.0
+            - float(np.count_nonzero(step.frame.depth)) / step.frame.depth.size,
         )
 
 

@@ -23,6 +23,7 @@ LEAST_FRAMES = 20  # of a trial, from which on the target must have been measure
 LEAST_PATCH_PX = 80.0  # px, of the first patch; a smaller one gives no surface to register; ours
 # the recording's checks whose failing makes every measurement of the target wrong
 SPOILS_DEPTH = ("depth_unit", "depth_offset", "alignment", "intrinsics", "camera_poses")
+MANY_HOLES = 0.4  # share of the picture without depth, from which on it may be the cause; ours
 LOST_AT_ONCE = 0.95  # share of the frames, in which a target that is lost was never followed; ours
 
 
@@ -123,9 +124,13 @@ def target_checks(
         mend = "is the box on what it marks (--bbox), and roles.target the target's topic?"
         return [*failed, Check("target", what, mend)]
     if counts.predicted >= counts.frames - 1:
-        unseen = counts.lost + counts.no_depth >= counts.frames - 1
+        unseen = counts.lost + counts.no_depth + counts.not_started >= counts.frames - 1
         how = "was seen with usable depth" if unseen else "could be registered"
         what = f"the target {how} in none of {counts.frames} frames"
+        if counts.holes > MANY_HOLES * counts.frames:
+            what += f"; depth is missing in {counts.holes / counts.frames:.0%} of the picture"
+            if not causes:
+                mend = "record depth with fewer holes" + ("" if has_box else f", or {mend}")
         failed.append(Check("measured", what, mend))
     elif counts.lost > LOST_AT_ONCE * counts.frames:
         what = f"the target is followed in {counts.frames - counts.lost} of {counts.frames} frames"

@@ -31,6 +31,8 @@ CLOSING = {
 }
 
 
+# of the speed, and m/s: two standard deviations beyond both are told; ours
+DOUBTFUL_SHARE, DOUBTFUL_M_S = 0.1, 0.005
 SAME_CLOSE_NS = 30_000_000  # ns; the twin's close times are so far apart
 
 
@@ -106,6 +108,7 @@ def judge(
         if log.robot.base_frame is not None and hindsight.n_registered >= 2:
             speed = float((hindsight.path.velocity[-1] ** 2).sum() ** 0.5)
             row = replace(row, speed_measured=speed)
+            notes += _doubtful_speed(hindsight, speed)
         notes += hindsight.notes
     if ended.outcome != "failure":
         shown = hand_shown(log, hindsight, ended, None)
@@ -224,6 +227,18 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
         f"{draws.share_reproduced:.0%} reproduce the failure"
     )
     return notes
+
+
+def _doubtful_speed(hindsight: Hindsight, speed: float) -> list[str]:
+    """A note where the undisturbed object was seen too briefly to know its speed, m/s."""
+    path = hindsight.path
+    if 2 * path.sd_velocity <= max(DOUBTFUL_SHARE * speed, DOUBTFUL_M_S):
+        return []
+    lasted_s = (int(path.t_ns[-1]) - int(path.t_ns[0])) * 1e-9
+    return [
+        f"speed_measured, {speed:.3f} m/s, is known to ± {2 * path.sd_velocity:.3f} m/s alone: the "
+        f"undisturbed object was seen {len(path.t_ns)} times in {lasted_s:.1f} s"
+    ]
 
 
 def closes_of(decision: Decision, times: Times) -> tuple[tuple[int, float], ...]:

@@ -7,8 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from dgeval.recording.transforms import TransformTree
-from tests.recording.recorders import JOINTS, Message, contents, opened, write
+from dgeval.recording.trials import Trial
+from tests.recording.recorders import (
+    DEPTH,
+    JOINTS,
+    TYPES,
+    Message,
+    contents,
+    depth_codes,
+    image,
+    opened,
+    write,
+)
 
 
 def with_states(messages: list[Message], change: Any) -> list[Message]:
@@ -60,3 +72,71 @@ def test_what_a_tree_keeps_of_one_time_is_not_of_the_next() -> None:
             T = tree.lookup("a", "b", t * 100_000_000)
             assert T is not None
             assert T[0, 3] == t
+
+
+@pytest.fixture(scope="module")
+def demo_trial(demo: Path) -> Trial:
+    return opened(demo)
+
+
+def odometry(messages: list[Message], base: str, speed: float) -> list[Message]:
+    """Of a base that drives along x at a speed, m/s; on a topic, and not on /tf."""
+    out: list[Message] = []
+    states = [m for m in messages if m[1] == JOINTS]
+    for m in states:
+        x = speed * (m[0] - states[0][0]) * 1e-9
+        like = TYPES["nav_msgs/msg/Odometry"]
+        zero = TYPES["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
+        pose = TYPES["geometry_msgs/msg/Pose"](
+            position=TYPES["geometry_msgs/msg/Point"](x=x, y=0.0, z=0.0),
+            orientation=TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        message = like(
+            header=TYPES["std_msgs/msg/Header"](stamp=m[3].header.stamp, frame_id="odom"),
+            child_frame_id=base,
+            pose=TYPES["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
+            twist=TYPES["geometry_msgs/msg/TwistWithCovariance"](
+                twist=TYPES["geometry_msgs/msg/Twist"](linear=zero, angular=zero),
+                covariance=np.zeros(36),
+            ),
+        )
+        out.append([m[0] + 1, "/odom", "nav_msgs/msg/Odometry", message])
+    return out
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.08])
+def test_a_base_that_drives_by_odometry_alone_is_told(
+    tmp_path: Path, messages: list[Message], demo_trial: Trial, speed: float
+) -> None:
+    """Fails where a base that no transform moves is taken for the floor."""
+    base = demo_trial.robot.base_frame or ""
+    path = write(tmp_path / "a.mcap", [*messages, *odometry(messages, base, speed)])
+    trial = opened(path)
+    told = [n for n in trial.notes if "frames.base=odom" in n]
+    assert len(told) == (speed > 0)
+    assert contents(trial) == contents(demo_trial)
+    if speed:
+        moved = opened(path, "frames.base=odom")
+        at = [p.t_ns for p in moved.pairs][:: len(moved.pairs) - 1]
+        apart = []
+        for trial in (moved, demo_trial):
+            poses = [trial.robot.T_base_camera(t) for t in at]
+            assert poses[0] is not None
+            assert poses[1] is not None
+            apart.append(poses[1][:3, 3] - poses[0][:3, 3])
+        driven = speed * (at[1] - at[0]) * 1e-9
+        np.testing.assert_allclose(apart[0] - apart[1], [driven, 0, 0], atol=1e-3)
+
+
+def test_depth_that_ends_at_one_value_is_told(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where depth that a driver cuts is taken for what is there."""
+
+    def cut(m: Message) -> Message:
+        codes = np.minimum(depth_codes(m[3]), 400)
+        return [m[0], m[1], "sensor_msgs/msg/Image", image(m[3], codes, "16UC1")]
+
+    made = [cut(m) if m[1] == DEPTH else m for m in messages]
+    trial = opened(write(tmp_path / "a.mcap", made))
+    assert any("of the depth readings are exactly 0.400 m" in n for n in trial.notes)
+    uncut = opened(write(tmp_path / "b.mcap", messages))
+    assert not any("of the depth readings" in n for n in uncut.notes)

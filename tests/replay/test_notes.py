@@ -32,7 +32,9 @@ def test_frames_are_counted_by_what_became_of_the_target() -> None:
         Perceived(Tracked("tracked"), observation, None, Fused(True), None),
     ):
         counts = counts.with_frame(step_of(perceived))
-    assert counts == FrameCounts(frames=4, lost=2, predicted=3, no_depth=1, no_hand=4, no_seed=4)
+    holes = counts.holes  # of frames without any depth
+    assert counts == FrameCounts(4, 2, 3, no_depth=1, no_hand=4, no_seed=4, holes=holes)
+    assert holes == 4.0
 
 
 def test_notes_name_stand_ins_and_what_was_left_out() -> None:
@@ -143,6 +145,16 @@ def test_another_box_is_no_mend_for_wrong_depth() -> None:
     assert check.mend == "mend depth_unit first"
     (check,) = target_checks(counts, False, None, "", ["stamps"])
     assert "--bbox" in check.mend
+
+
+def test_holes_are_told_where_nothing_was_measured() -> None:
+    """Catches another box asked for where depth has hardly any readings."""
+    counts = FrameCounts(frames=29, predicted=29, not_started=29, holes=17.4)
+    (check,) = target_checks(counts, False, None)
+    assert "with usable depth in none of 29 frames; depth is missing in 60%" in check.what
+    assert check.mend.startswith("record depth with fewer holes, or")
+    (check,) = target_checks(replace(counts, holes=5.0), False, None)
+    assert "missing" not in check.what
 
 
 def test_ffhnet_is_named_with_its_weights() -> None:

@@ -60,7 +60,10 @@ def hindsight(**changed: object) -> Any:
         "gap_s": 0.4, "gap_sided": "two", "notes": ("a note of hindsight",),
         "contact_link": "palm", "contact_ns": None, "pushed_ns": None,
         "n_registered": 20,
-        "path": SimpleNamespace(velocity=np.array([[9.0, 9.0, 9.0], [0.06, 0.08, 0.0]])),
+        "path": SimpleNamespace(
+            velocity=np.array([[9.0, 9.0, 9.0], [0.06, 0.08, 0.0]]),
+            sd_velocity=0.004, t_ns=np.array([0, 400_000_000]),
+        ),
     }  # fmt: skip
     return SimpleNamespace(**{**values, **changed})
 
@@ -280,6 +283,23 @@ def test_what_did_not_fail_has_no_cause(stages: Replace, ended: Ended) -> None:
     assert asdict(found.row) == NOTHING | MEASURED | rest
     assert found == Judgement(found.row, CLOSE, None, ("a note of hindsight",))
     assert asked.asked == ()
+
+
+def test_a_speed_from_few_sightings_is_told(stages: Replace) -> None:
+    """Catches 0.053 m/s, of seven sightings in 0.4 s, said as if it were known: it was 0.040."""
+    stages(ended=Ended("success", "label", "an operator's label says so"))
+    brief = hindsight(
+        path=SimpleNamespace(
+            velocity=np.array([[0.053, 0.0, 0.0]]),
+            sd_velocity=0.0057,
+            t_ns=np.linspace(0, 400_000_000, 7),
+        )
+    )
+    found = judge(trial(), brief, CONFIG, 0)
+    assert found.notes[0] == (
+        "speed_measured, 0.053 m/s, is known to ± 0.011 m/s alone: the undisturbed object was seen "
+        "7 times in 0.4 s"
+    )
 
 
 def test_a_success_without_hindsight(stages: Replace) -> None:
