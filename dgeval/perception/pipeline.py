@@ -66,11 +66,13 @@ class Perceived:
 class Perception:
     """The state that the stages share from frame to frame: where the model is, and since when.
 
-    T_camera_model (4, 4): of the last frame, accepted or predicted. T_prior: the pose that the next
-    prediction starts from. T_accepted, accepted_ns: the last accepted pose and its time, ns.
-    turn (3,): rad/s, rotation vector in base axes, of the time turn_ns.
-    feature (3,): the feature point whose velocity is estimated, m, model frame. T_base_camera: of
-    the last frame. All None before there is one. accepted: whether the last frame was merged.
+    T_camera_model (4, 4): of the last frame, accepted or predicted. T_prior: near which the tracker
+    looks next. T_carried: from which a target goes on while it is not registered: T_prior, but not
+    by colours alone, which tell it no better than the prediction does. T_accepted, accepted_ns: the
+    last accepted pose and its time, ns. turn (3,): rad/s, rotation vector in base axes, of the time
+    turn_ns. feature (3,): the feature point whose velocity is estimated, m, model frame.
+    T_base_camera: of the last frame. All None before there is one. accepted: whether the last frame
+    was merged.
     """
 
     config: Config
@@ -85,6 +87,7 @@ class Perception:
         self.refused: list[Model] = []  # the last frames, refused in a row, by their fit alone
         self.T_camera_model: Array | None = None
         self.T_prior: Array | None = None
+        self.T_carried: Array | None = None
         self.T_accepted: Array | None = None
         self.accepted_ns = 0
         self.feature: Array | None = None
@@ -95,18 +98,19 @@ class Perception:
         self._turned = np.zeros(3)
 
     def predict(
-        self, frame: Frame, T_base_camera: Array | None, moves: bool = True
+        self, frame: Frame, T_base_camera: Array | None, start: Array | None, moves: bool = True
     ) -> Array | None:
-        """T_camera_model (4, 4) at this frame, before its images are used; None without a model.
+        """T_camera_model (4, 4) at this frame, before its images are used, from the pose `start` at
+        the last frame; None without one.
 
-        The camera's motion and the estimated velocity carry the last pose, and its turn if the
-        object was seen to turn. moves: else the object stands still in the base frame.
+        The camera's motion and the estimated velocity carry it, and its turn if the object was seen
+        to turn. moves: else the object stands still in the base frame.
         """
-        if self.T_prior is None:
+        if start is None:
             return None
         if T_base_camera is None or self.T_base_camera is None:
-            return self.T_prior
-        T_base_model = self.T_base_camera @ self.T_prior
+            return start
+        T_base_model = self.T_base_camera @ start
         if not moves:
             return orthonormalise(invert(T_base_camera) @ T_base_model)
         model = self.fusion.model
@@ -143,7 +147,7 @@ class Perception:
         """
         config = self.config
         self.noise.see(frame, T_base_camera)
-        predicted = self.predict(frame, T_base_camera)
+        predicted = self.predict(frame, T_base_camera, self.T_prior)
         tracked = self.tracker.step(
             TrackingInput(
                 frame, box, self.fusion.model, predicted, self.T_camera_model, self.accepted
@@ -163,10 +167,10 @@ class Perception:
         lap("observation")
         registration = _register(self, frame, tracked, observation, predicted, config)
         lap("registration")
-        if config.estimation.loss_policy == "zero":
-            # where it is looked for is one thing, where a lost target is taken to be another
-            predicted = self.predict(frame, T_base_camera, moves=False)
-        fused = _fuse(self, frame, tracked, observation, registration, predicted, config)
+        # where it is looked for is one thing, where a lost target is taken to be another
+        moves = config.estimation.loss_policy != "zero"
+        carried = self.predict(frame, T_base_camera, self.T_carried, moves)
+        fused = _fuse(self, frame, tracked, observation, registration, (predicted, carried), config)
         lap("fusion")
         estimate = _estimate(self, frame, T_base_camera)
         lap("estimation")
@@ -247,21 +251,29 @@ def _fuse(
     tracked: Tracked,
     observation: Observation | None,
     registration: Registration | None,
-    predicted: Array | None,
+    expected: tuple[Array | None, Array | None],
     config: Config,
 ) -> Fused:
-    """Accept the frame and merge it into the model, or carry the model by the prediction."""
+    """Accept the frame and merge it into the model, or carry the model.
+
+    expected: T_camera_model (4, 4) where the target was looked for, and as it is carried on.
+    """
+    predicted, carried = expected
     rng = generator(config.seed, "fusion", frame.index)
     first = state.fusion.model is None and observation is not None and tracked.state == "tracked"
     state.accepted = first or (registration is not None and registration.accepted)
     if first:
-        state.T_camera_model = state.T_prior = np.eye(4)
+        state.T_camera_model = state.T_prior = state.T_carried = np.eye(4)
     elif registration is not None and registration.accepted:
-        state.T_camera_model = state.T_prior = orthonormalise(registration.T_camera_model)
+        registered = orthonormalise(registration.T_camera_model)
+        state.T_camera_model = state.T_prior = state.T_carried = registered
     else:
-        state.T_camera_model = tracked.T_camera_model if tracked.pose_stands else predicted
+        own = tracked.T_camera_model
+        state.T_camera_model = own if tracked.pose_stands else carried
         # the tracker's pose is no accepted registration, but the best place to look from next
-        state.T_prior = tracked.T_camera_model if tracked.T_camera_model is not None else predicted
+        state.T_prior = predicted if own is None else own
+        by_depth = own is not None and (tracked.pose_stands or observation is not None)
+        state.T_carried = own if by_depth else carried
     reason = None
     if registration is not None:
         reason = registration.reject_reason

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 from dgeval.config import load_config
-from dgeval.geometry import Intrinsics, invert, rotation_angle
+from dgeval.geometry import Intrinsics, increment, invert, rotation_angle
 from dgeval.perception import align
-from dgeval.perception.pipeline import Perception
+from dgeval.perception.pipeline import Perception, _fuse
 from dgeval.perception.segmentation import points_of
 from dgeval.perception.trackers import model as model_tracker
 from dgeval.perception.trackers.model import ModelTracker, TrackingInput
+from dgeval.perception.types import Model, Observation, Registration, Tracked
 from dgeval.recording.choices import RecordedChoices
 from dgeval.recording.frame import Frame
 from dgeval.replay.causal import Step, replay
@@ -302,6 +303,23 @@ def test_a_turn_that_is_not_steady_is_not_carried_on() -> None:
     assert perception.turn == pytest.approx([0.0, 0.0, 3.0], abs=0.01)
     perception.learn_turn(45 * PERIOD_NS, np.eye(4), False)
     assert not perception.turn.any(), "what is not seen is not known to turn on"
+
+
+@pytest.mark.parametrize("has_depth", [True, False])
+def test_what_colours_alone_say_carries_nothing(sliding: Any, has_depth: bool) -> None:
+    """Fails where a target without depth goes on from where a dozen corners put it, 12 mm off."""
+    frames, _, _ = sliding
+    perception = Perception(load_config("dynamic", ()))
+    perception.T_prior = perception.T_carried = np.eye(4)
+    perception.fusion.model = Model(np.eye(3), np.eye(3))
+    found, carried = increment(np.array([0.012, 0, 0, 0, 0, 0])), np.eye(4)
+    seen = Observation(np.zeros((9, 3)), np.zeros((9, 3))) if has_depth else None
+    tracked = Tracked("tracked", T_camera_model=found)
+    refused = Registration(found, 0.1, 0.1, 0.01, "fitness") if has_depth else None
+    _fuse(perception, frames[0], tracked, seen, refused, (np.eye(4), carried), perception.config)
+    assert perception.T_prior is found, "the best place to look from next"
+    assert perception.T_camera_model is carried
+    assert perception.T_carried is (found if has_depth else carried)
 
 
 def test_frames_are_merged_as_the_robot_merged_them(sliding: Any) -> None:

@@ -1510,8 +1510,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/perception/pipeline.py",
-        "predicted = self.predict(frame, T_base_camera, moves=False)",
-        "pass",
+        "carried = self.predict(frame, T_base_camera, self.T_carried, moves)",
+        "carried = self.predict(frame, T_base_camera, self.T_carried)",
         "tests/replay/test_replay.py::test_a_lost_target_goes_on_or_stands_still",
     ),
     Mutant(
