@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from dgeval.recording.depth_unit import cut_at
 from dgeval.recording.transforms import TransformTree
 from dgeval.recording.trials import Trial
 from tests.recording.recorders import (
@@ -140,3 +142,13 @@ def test_depth_that_ends_at_one_value_is_told(tmp_path: Path, messages: list[Mes
     assert any("of the depth readings are exactly 0.400 m" in n for n in trial.notes)
     uncut = opened(write(tmp_path / "b.mcap", messages))
     assert not any("of the depth readings" in n for n in uncut.notes)
+
+
+def test_the_farthest_reading_alone_is_no_cut() -> None:
+    depth = np.full((20, 30), 0.4, np.float32)
+    depth[0, 0] = 2.0
+    frame = SimpleNamespace(depth=depth)
+    assert cut_at([frame] * 4) is None  # type: ignore[list-item]
+    depth[:10] = 2.0
+    assert cut_at([frame] * 4) == (2.0, 0.5)  # type: ignore[list-item]
+    assert cut_at([frame] * 2) is None  # type: ignore[list-item]

@@ -160,8 +160,10 @@ def test_the_pose_of_an_object_finds_the_thing_there(
                 rotation=stamped.pose.orientation,
             ),
         )
+        beside = copy.deepcopy(edge)  # a frame that marks nothing, at another place in the picture
+        beside.child_frame_id, beside.transform.translation.x = "marker", place[0] + 0.05
         kind = "tf2_msgs/msg/TFMessage"
-        made = [first[0] + 1, "/tf", kind, TYPES[kind](transforms=[edge])]
+        made = [first[0] + 1, "/tf", kind, TYPES[kind](transforms=[beside, edge])]
     target = found(write(tmp_path / "a.mcap", [*unmarked, made]))
     assert target is not None
     assert target.topic == name

@@ -2084,6 +2084,78 @@ MUTANTS = [
         "    if text is None:\n        raise typer",
         "tests/recording/test_seventh_strangers.py::test_an_empty_path_is_not_the_working_folder",
     ),
+    Mutant(
+        "dgeval/perception/pipeline.py",
+        "state.T_carried = own if by_depth else carried",
+        "state.T_carried = carried if own is None else own",
+        "tests/perception/test_tracking.py::test_what_colours_alone_say_carries_nothing",
+    ),
+    Mutant(
+        "dgeval/recording/messages.py",
+        "unplaced = len(forces) if len(forces) != len(names) else 0",
+        "unplaced = 0",
+        "tests/recording/test_eighth_strangers.py::test_efforts_of_another_number_than_the_joints_are_nobodys",
+    ),
+    Mutant(
+        "dgeval/recording/messages.py",
+        "if len(names) and len(at) not in (0, len(names)):",
+        "if False:",
+        "tests/recording/test_eighth_strangers.py::test_positions_of_another_number_than_the_joints_are_damage",
+    ),
+    Mutant(
+        "dgeval/recording/transforms.py",
+        "            self._back.clear()\n            self._edges_ns = t_ns",
+        "            self._edges_ns = t_ns",
+        "tests/recording/test_eighth_strangers.py::test_what_a_tree_keeps_of_one_time_is_not_of_the_next",
+    ),
+    Mutant(
+        "dgeval/recording/robot.py",
+        "    _add_odometry(tree, scan, roles, offset)\n",
+        "",
+        "tests/recording/test_eighth_strangers.py::test_a_base_that_drives_by_odometry_alone_is_told",
+    ),
+    Mutant(
+        "dgeval/recording/robot.py",
+        "if float(np.ptp([pose.pose for pose in poses], axis=0).max()) <= SAME_POSE:",
+        "if False:",
+        "tests/recording/test_eighth_strangers.py::test_a_base_that_drives_by_odometry_alone_is_told",
+    ),
+    Mutant(
+        "dgeval/recording/depth_unit.py",
+        "if len(reached) < 3 or float(np.median(reached)) < LEAST_CUT:",
+        "if len(reached) < 3:",
+        "tests/recording/test_eighth_strangers.py::test_the_farthest_reading_alone_is_no_cut",
+    ),
+    Mutant(
+        "dgeval/verdict/judge.py",
+        "if 2 * path.sd_velocity <= max(DOUBTFUL_SHARE * speed, DOUBTFUL_M_S):",
+        "if path.sd_velocity <= max(DOUBTFUL_SHARE * speed, 0.01):",
+        "tests/verdict/test_sentence.py::test_a_speed_from_few_sightings_is_told",
+    ),
+    Mutant(
+        "dgeval/runs/target_told.py",
+        "counts.lost + counts.no_depth + counts.not_started >= counts.frames - 1",
+        "counts.lost + counts.no_depth >= counts.frames - 1",
+        "tests/replay/test_notes.py::test_holes_are_told_where_nothing_was_measured",
+    ),
+    Mutant(
+        "dgeval/recording/recorded_target.py",
+        "if edge.child == frame]",
+        "]",
+        "tests/recording/test_recorded_target.py::test_the_pose_of_an_object_finds_the_thing_there",
+    ),
+    Mutant(
+        "dgeval/recording/detections.py",
+        "known = [float(v) for v in listed if 0 < v <= 1]",
+        "known = [float(v) for v in listed[:1]]",
+        "tests/recording/test_recorded_tracking.py::test_names_and_scores_of_detections_are_kept",
+    ),
+    Mutant(
+        "dgeval/recording/image_codecs/raw.py",
+        '    "32SC1": (np.int32, 1),',
+        '    "32SC1": (np.uint8, 1),',
+        "tests/recording/test_recorded_tracking.py::test_every_frame_gets_what_is_marked_in_it",
+    ),
 ]
 
 
