@@ -365,8 +365,9 @@ def test_a_held_object_that_gives_way_is_not_seen_pushed(physics: Replace) -> No
     """Catches a handover that is labelled by a belt's thresholds."""
     physics(GivenDraw(MISSED, seen=SEEN_PUSHED))
     assert decided(still(), "twin", 3, 0, 0.6).observed_class == "collision"
-    held = replace(still(), held=True)
-    assert decided(held, "twin", 3, 0, 0.6).observed_class == "imprecise_pose"
+    held = decided(replace(still(), held=True), "twin", 3, 0, 0.6)
+    assert held.observed_class == "imprecise_pose"
+    assert max(held.probabilities) < 0.8, "six of nine such answers were right"
 
 
 # classes
