@@ -44,6 +44,7 @@ STILL_FINGERS = ", and the fingers, whose joint states are recorded, never close
 # ns after the fingers' rest, from which a mark is late, and after the lift's begin, up to which it
 # is this close's; ours
 LATE_NS, UP_NS = 50_000_000, 1_000_000_000
+EARLY_NS = 600_000_000  # ns, that the fingers begin to close after their command at most; ours
 MENDS = "mark it with --close TIME, or close_ns in a manifest"
 
 
@@ -94,7 +95,10 @@ def close_of(
         still = isinstance(found, NoClose) and found.fingers_seen and found.motion_ns is None
         if still and first_ns <= (events.first_ns(CLOSE_EVENT) or 0) <= last_ns:
             note = "; ".join(filter(None, [note, "a close is marked" + STILL_FINGERS]))
-        late = _marked_late(events.first_ns(CLOSE_EVENT) or 0, found, first_ns)
+        marked_ns = events.first_ns(CLOSE_EVENT) or 0
+        late = _marked_late(marked_ns, found, first_ns)
+        early = _marked_early(marked_ns, fingers_ns, first_ns)
+        note = "; ".join(filter(None, [note, early]))
         return CloseKnown(events, "event", None, note, fingers_ns, late)
     told = _by_grippers(robot, grippers, first_ns, last_ns, ("command",))
     if told is None and isinstance(found, NoClose) and not found.fingers_seen:
@@ -102,7 +106,7 @@ def close_of(
             robot, grippers, first_ns, last_ns, ("effort",)
         )
     if told is not None:
-        track, close_ns, lift_at = told
+        track, close_ns, lift_at, risen_before = told
         events = _with(events, CLOSE_EVENT, close_ns)
         if lift_ns is None:
             events = _with(events, LIFT_EVENT, lift_at)
@@ -114,7 +118,13 @@ def close_of(
             f"before the palm rises: taken for the close{late if track.kind == 'effort' else ''}; "
             f"if that is wrong: {MENDS}"
         )
+        if risen_before is not None:
+            at = (risen_before - first_ns) * 1e-9
+            note += f" (the palm rises after the one at {at:+.2f} s too: --close {at:+.2f})"
         return CloseKnown(events, track.kind, None, note, fingers_ns)
+    if isinstance(found, NoClose) and events.first_ns(LIFT_EVENT) is not None:
+        why = "a lift is marked and no close: does the log begin after it?"
+        return CloseKnown(events, None, f"{why} If so nothing tells how it closed; else {MENDS}")
     if isinstance(found, NoClose):
         ended = events.first_ns(TRIAL_END_EVENT) is not None
         still = found.motion_ns is None and not any(
@@ -160,6 +170,17 @@ def _marked_late(close_ns: int, found: Inferred | NoClose, first_ns: int) -> str
     )
 
 
+def _marked_early(close_ns: int, fingers_ns: int | None, first_ns: int) -> str:
+    """In words, that the fingers begin to close long after the mark; "" where they don't."""
+    if fingers_ns is None or fingers_ns - close_ns <= EARLY_NS:
+        return ""
+    marked, began = ((t - first_ns) * 1e-9 for t in (close_ns, fingers_ns))
+    return (
+        f"a close is marked at {marked:+.2f} s, and the fingers begin to close at {began:+.2f} s: "
+        f"if the mark is early: --close {began:+.2f}"
+    )
+
+
 def _last_attempt(events: Events, first_ns: int) -> tuple[Events, str]:
     """The events with the close that decides: the last before the last lift, or of all without a
     lift after one; and a note on the others.
@@ -193,8 +214,9 @@ def _by_grippers(
     first_ns: int,
     last_ns: int,
     kinds: tuple[TrackKind, ...],
-) -> tuple[GripperTrack, int, int] | None:
-    """The track that shows a close, the close and the lift, ns; None without.
+) -> tuple[GripperTrack, int, int, int | None] | None:
+    """The track that shows a close, the close, the lift, and the change before that close if the
+    palm rises between them, ns; None without.
 
     The last change of each track before the palm rises; of several tracks the latest, by then all
     have been told. A change after which the fingers are seen to part is an opening.
@@ -203,16 +225,30 @@ def _by_grippers(
     for track in grippers:
         if track.kind not in kinds:
             continue
-        for start, end in reversed(track.changes()):
+        openings = track.openings()
+        changes = [(a, b) for a, b in track.changes() if a not in openings]
+        for k in reversed(range(len(changes))):
+            start, end = changes[k]
             if not first_ns <= start <= last_ns or opens_after(robot, start, last_ns):
                 continue
             rest = end if end > start else end + round(WITHIN_S * 1e9)
             lift = lift_after(robot, start, rest, last_ns)
             if lift is not None and lift - start >= BEFORE_LIFT_NS:
                 if best is None or start > best[1]:
-                    best = track, start, lift
+                    best = track, start, lift, _rises_before(robot, changes[:k], first_ns, start)
                 break
     return best
+
+
+def _rises_before(
+    robot: RobotStates, changes: list[tuple[int, int]], first_ns: int, until_ns: int
+) -> int | None:
+    """The last of some changes of a gripper, ns, if the palm rises between it and a time."""
+    if not changes or changes[-1][0] < first_ns:
+        return None
+    start, end = changes[-1]
+    rest = max(end, start + round(WITHIN_S * 1e9))
+    return None if lift_after(robot, start, rest, until_ns) is None else start
 
 
 def _with(events: Events, kind: str, t_ns: int) -> Events:

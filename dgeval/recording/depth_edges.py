@@ -70,6 +70,7 @@ def depth_off(frames: Sequence[Frame]) -> DepthOff | None:
     halves = [_best(scores[k::2])[0] for k in (0, 1)]
     if (
         np.hypot(*found) < LEAST_SHIFT
+        or np.abs(found).max() == FARTHEST  # no peak: it may go on rising from there
         or best < LEAST_SCORE
         or none > AS_GOOD * best
         or np.abs(halves[0] - halves[1]).max() > AGREE

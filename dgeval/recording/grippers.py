@@ -59,6 +59,16 @@ WITHIN_S = 1.5  # s, in which it does so
 DENSE, TREMBLES = 50, 12.0
 
 
+OPENS_BY = 0.25  # share of its range, within which a command is the one that opens; ours
+# s after a close, by which its command is given and its fingers rest; and share of the range by
+# which they are then told elsewhere, to be an opening; ours
+SETTLES_S, RELEASED_BY = 1.0, 0.5
+# by the last name of a topic of Yes and No, which of both opens
+ORDER_OPENS = {
+    word + end: value
+    for word, value in (("close", 0.0), ("grasp", 0.0), ("open", 1.0), ("release", 1.0))
+    for end in ("", "_cmd", "_command")
+}
 TrackKind = Literal["command", "width", "effort"]
 
 
@@ -96,6 +106,40 @@ class GripperTrack:
             return motions
         at = np.interp(np.array(motions).reshape(-1, 2), self.times, self.values)
         return [m for m, (before, after) in zip(motions, at, strict=True) if after < before]
+
+    def openings(self) -> set[int]:
+        """Those of `changes` by which a command opens the hand, by their start: what goes back to
+        the value that a stream began with, as a hand that is to grasp is open then; the largest of
+        a width; the No of a topic that is called close or grasp, the Yes of open or release.
+        """
+        if self.kind != "command":
+            return set()
+        span = float(np.ptp(self.values))
+        order = ORDER_OPENS.get(_last(self.topic)) if {*self.values} <= {0.0, 1.0} else None
+        is_width = any(word in _last(self.topic) for word in WIDTHS)
+        widest = float(self.values.max(initial=-np.inf)) if is_width else None
+        as_begun = self.values[0] if len(self.values) > SINGLE else None
+        opens = next((v for v in (order, widest, as_begun) if v is not None), None)
+        if opens is None or span < 1e-6:
+            return set()
+        return {
+            start
+            for start, end in self.changes()
+            if abs(float(np.interp(end, self.times, self.values)) - opens) < OPENS_BY * span
+        }
+
+    def released_ns(self, close_ns: int, last_ns: int) -> int | None:
+        """When the hand is told to open, or opens, after a close at a time, ns; None where it is
+        not, or where that is not known.
+        """
+        span = float(np.ptp(self.values)) if len(self.values) else 0.0
+        by = self.times <= close_ns + round(SETTLES_S * 1e9)
+        if self.kind == "effort" or span < 1e-6 or not by.any():
+            return None
+        held = float(self.values[by][-1])
+        later = (self.times > close_ns + round(SETTLES_S * 1e9)) & (self.times <= last_ns)
+        apart = later & (np.abs(self.values - held) > RELEASED_BY * span)
+        return int(self.times[apart][0]) if apart.any() else None
 
 
 def _only_trembles(values: Array, span: float) -> bool:

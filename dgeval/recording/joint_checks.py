@@ -12,6 +12,7 @@ BACK = 0.3  # share of the jump, by which at most the sample after it differs fr
 ALTERNATES = 0.1  # share of the samples that jump there and back; ours
 BEYOND = 0.5  # share of a joint's range, and
 BEYOND_LEAST = {"revolute": 0.2, "prismatic": 0.05}  # rad or m, by which it may be outside of it
+MOVES_FIXED = 0.02  # rad or m, by which a joint moves that the description says is fixed; ours
 OUTSIDE = 0.5  # share of the samples that are outside; ours
 
 
@@ -33,6 +34,11 @@ def joint_faults(robot: RobotStates) -> list[tuple[str, str]]:
         return out
     for joint in sorted(robot.description.joints.values(), key=lambda j: j.name):
         q = np.array(robot.joints.values.get(joint.name, []))
+        if joint.kind == "fixed" and len(q) >= LEAST_SAMPLES and np.ptp(q) > MOVES_FIXED:
+            what = f"the joint {joint.name} moves by {np.ptp(q):.3g} in the joint states, and is "
+            mend = "give the robot's own description (calibration.description)"
+            out.append((f"{what}fixed in the description", mend))
+            break
         span = joint.upper - joint.lower
         if len(q) < LEAST_SAMPLES or joint.kind == "fixed" or not 0 < span < np.inf:
             continue

@@ -289,17 +289,22 @@ def joints_of(message: Any) -> JointSample:
     )
 
 
+NEAR_LOG_NS = 3_600_000_000_000  # ns, between an event's time and when it was logged; ours
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """An entry of /dgeval/events: time, ns, kind, and the other fields as written.
 
-    is_log_time: the message has no time of its own, and was logged then.
+    is_log_time: the message has no time of its own, and was logged then. unit: of its own time,
+    where that was not in ns.
     """
 
     t_ns: int
     kind: str
     fields: dict[str, Any]
     is_log_time: bool = False
+    unit: str = ""
 
 
 def event_of(text: str, log_ns: int) -> Event:
@@ -325,10 +330,26 @@ def event_of(text: str, log_ns: int) -> Event:
         t_ns = int(t_ns)
     if not isinstance(t_ns, int) or isinstance(t_ns, bool):
         raise ValueError(f"t_ns of an event is not a whole number: {text[:80]!r}")
+    t_ns, unit = _in_ns(t_ns, log_ns)
     kind = value[EVENT_KEY].strip().lower()
     fields = {k: v for k, v in value.items() if k not in (EVENT_KEY, TIME_KEY)}
+    inner = [v for v in fields.values() if isinstance(v, dict)]
+    if not any(key in fields for key in LABEL_KEYS):  # a state machine's result, one level down
+        fields |= {key: v[key] for v in inner for key in LABEL_KEYS if key in v}
     if kind not in EVENT_KINDS and label_of(kind) is not None:
         kind, fields = LABEL_EVENT, {LABEL_KEY: kind, **fields}
     elif kind not in EVENT_KINDS:
         kind = value[EVENT_KEY]
-    return Event(t_ns, kind, fields, TIME_KEY not in value)
+    return Event(t_ns, kind, fields, TIME_KEY not in value, unit)
+
+
+def _in_ns(t: int, log_ns: int) -> tuple[int, str]:
+    """A time, ns, and the unit that it was in; "" where that is ns, or cannot be told.
+
+    A time far from when it was logged is in the unit that puts it within an hour of it.
+    """
+    if abs(t - log_ns) > NEAR_LOG_NS:
+        for unit, factor in (("us", 1_000), ("ms", 1_000_000), ("s", 1_000_000_000)):
+            if abs(t * factor - log_ns) <= NEAR_LOG_NS:
+                return t * factor, unit
+    return t, ""

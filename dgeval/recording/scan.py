@@ -308,6 +308,10 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
     _place_streams(out, streams)
     _onto_the_stamps_clock(out)
     out.events = heard_once(out.events)
+    if units := sorted({event.unit for event in out.events if event.unit}):
+        opened.notes.append(
+            f"t_ns of events is in {' and '.join(units)}, by when they were logged, and taken so"
+        )
     for name in sorted(out.undecodable):
         what = (
             f"{out.undecodable[name]} messages can't be used, "

@@ -76,6 +76,7 @@ CLOSE_S = 0.4  # s, closing ramp; ours: it closes as a hand that is sent to CLOS
 # to 0.01 Nm in simulated trials.
 HELD_NM = 0.05
 GRASP_CENTRE = np.array([0.05, 0.012, 0.165])  # m in hand_base, where held objects are; ours
+MOST_NM = 10.0  # five times what its strongest drive gives; more is no effort in Nm; ours
 # Of the three drives of a finger, Nm/rad and Nm; ours, so that known grasps hold.
 STIFFNESS, FORCE = (3.0, 3.0, 1.8), (2.0, 1.15, 0.95)
 
@@ -263,7 +264,7 @@ HAND = KnownHand(
     positions=coupled,
     targets=finger_targets,
     solids=lambda drives: Solids(finger_axes(drives), RADIUS, tuple(b[:2] for b in PALM_BOXES)),
-    grip=Grip("effort", tuple(n for n in ACTUATED if not n.endswith("_0")), 5, grip),
+    grip=Grip("effort", tuple(n for n in ACTUATED if not n.endswith("_0")), 5, grip, MOST_NM),
     mismatch_sd=0.03,  # rad; ours
     add=add_hand,
     links=links,

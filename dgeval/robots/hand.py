@@ -6,6 +6,7 @@ module attribute `HAND`. Nothing outside this folder knows a finger's name or ho
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cache
@@ -33,13 +34,14 @@ class Grip:
 
     signal: which values of `joints` are read, position (rad, m) or effort (Nm, N). least: how many
     samples are needed. holds: from samples (n, len(joints)), whether the hand holds something, and
-    a sentence with the figures.
+    a sentence with the figures. most: of the signal; larger values are in other units.
     """
 
     signal: Literal["position", "effort"]
     joints: tuple[str, ...]
     least: int
     holds: Callable[[Array], tuple[bool, str]]
+    most: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dgeval.geometry import Array
 from dgeval.recording.check import PART_CHECK
+from dgeval.recording.closes import gripper_tracks
 from dgeval.recording.closing_motion import release_after
 from dgeval.recording.containers.container import Opened
 from dgeval.recording.contract import (
@@ -20,6 +21,7 @@ from dgeval.recording.contract import (
     MASK_TOPIC,
     MODEL_TOPIC,
     TARGET_TOPIC,
+    TRIAL_END_EVENT,
     VELOCITY_TOPIC,
 )
 from dgeval.recording.messages import JointSample, StampedPose, cloud_points
@@ -28,6 +30,11 @@ from dgeval.recording.trials import Trial
 from dgeval.replay.replayed import Replayed
 from dgeval.verdict.recorded_closing import Closing
 
+GOES_ON_NS = 500_000_000  # ns of images after a trial; ours
+LAST_NS, MOVES_M_S = (
+    200_000_000,
+    0.02,
+)  # ns before the log ends, m/s of a palm that moves; ours
 MIN_MODEL_POINTS = 20  # fewer points of the robot's own model say nothing of where the object is
 
 
@@ -98,7 +105,8 @@ class TrialLog:
     be read, or a part of it is not there. hand_samples: joint states that hold the fingers, in
     their own clock. max_gap_ns: longest gap in joint states that is interpolated. servo_gain: 1/s,
     of the robot's position servo, as configured. elsewhere: what other trials show of the hand.
-    released_ns: when the fingers open again after the close.
+    released_ns: when the fingers open again after the close. is_cut: no end of the trial is marked,
+    and the hand still moves at the end of the log.
     """
 
     first_ns: int
@@ -115,6 +123,7 @@ class TrialLog:
     recorded: Recorded
     elsewhere: HandEstimate = NOTHING_ELSEWHERE
     released_ns: int | None = None
+    is_cut: bool = False
 
     @property
     def end_ns(self) -> int:
@@ -135,6 +144,9 @@ def log_of(trial: Trial, elsewhere: HandEstimate | None = None) -> TrialLog:
             trial.robot.samples[-1].t_ns, trial.spec.end_ns or trial.robot.samples[-1].t_ns
         )
         released_ns = release_after(trial.robot, close_ns, until_ns)
+        if released_ns is None:
+            told = [t.released_ns(close_ns, until_ns) for t in gripper_tracks(scan, trial.robot)]
+            released_ns = min((t for t in told if t is not None), default=None)
     stamps = np.zeros(0, dtype=np.int64)
     if MASK_TOPIC in scan.times:
         stamps = scan.times[MASK_TOPIC].arrays()[0]
@@ -160,7 +172,23 @@ def log_of(trial: Trial, elsewhere: HandEstimate | None = None) -> TrialLog:
         ),
         elsewhere or NOTHING_ELSEWHERE,
         released_ns,
+        trial.event_ns(TRIAL_END_EVENT) is None and _moves_at_the_end(trial),
     )
+
+
+def _moves_at_the_end(trial: Trial) -> bool:
+    """Whether the palm moves over the last of the recording's images; False where that is not
+    known, or where the recording goes on after the trial.
+    """
+    last_ns = trial.pairs[-1].t_ns
+    times = trial.scan.times.get(trial.roles.colour or "")
+    if times is not None and max(times.arrays()[0], default=0) - last_ns > GOES_ON_NS:
+        return False
+    ends = [trial.robot.T_base_palm(t) for t in (last_ns - LAST_NS, last_ns)]
+    if ends[0] is None or ends[1] is None:
+        return False
+    moved_m = float(np.linalg.norm(ends[1][:3, 3] - ends[0][:3, 3]))
+    return moved_m > MOVES_M_S * LAST_NS * 1e-9
 
 
 def _model(opened: Opened, t_ns: int) -> Array | None:

@@ -142,6 +142,11 @@ def _without_close(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     moved = not palms or float(np.ptp(palms, axis=0).max()) > MOVED_M
     nearest = None if hindsight is None else hindsight.nearest_m
     outcome, why = outcome_without_close(len(palms) / len(times), nearest, moved)
+    if outcome != "unknown" and log.is_cut:
+        why += (
+            ", but the log ends while it moves and no trial_end is marked: what came then is not "
+        )
+        return Ended("unknown", None, why + "known; an operator's word is: --label success|failure")
     if outcome == "unknown":
         return Ended(outcome, None, why)
     return Ended(outcome, "inferred", why, 0.0 if outcome == "failure" else None)
@@ -171,6 +176,11 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
     for grip in (hand.grip for hand in known):
         if grip is None or not _is_signal(log, grip):
             continue
+        if grip.signal == "effort" and (peak := _peak(log, grip)) > grip.most:
+            return Unknown(
+                f"the fingers' efforts reach {peak:.0f}, more than this hand's {grip.most:.0f} Nm: "
+                "are they in other units?"
+            )
         values = [s.positions if grip.signal == "position" else s.efforts for s in samples]
         rows = [[v[n] for n in grip.joints] for v in values if all(n in v for n in grip.joints)]
         if len(rows) >= grip.least:
@@ -204,6 +214,12 @@ def _is_signal(log: TrialLog, grip: Grip) -> bool:
     if grip.signal == "position":
         return True
     return any(s.efforts.get(name) for s in log.hand_samples for name in grip.joints)
+
+
+def _peak(log: TrialLog, grip: Grip) -> float:
+    """The effort that a hundredth of the samples of a grip's joints passes; 0 without any."""
+    efforts = [abs(s.efforts[n]) for s in log.hand_samples for n in grip.joints if n in s.efforts]
+    return float(np.percentile(efforts, 99)) if efforts else 0.0
 
 
 def _seen_after(

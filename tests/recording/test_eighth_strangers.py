@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import copy
+import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from dgeval.recording.depth_edges import depth_off
 from dgeval.recording.depth_unit import cut_at
+from dgeval.recording.events import Events
+from dgeval.recording.messages import event_of
 from dgeval.recording.transforms import TransformTree
 from dgeval.recording.trials import Trial
 from tests.recording.recorders import (
     DEPTH,
+    EVENTS,
     JOINTS,
     TYPES,
     Message,
@@ -152,3 +158,80 @@ def test_the_farthest_reading_alone_is_no_cut() -> None:
     depth[:10] = 2.0
     assert cut_at([frame] * 4) == (2.0, 0.5)  # type: ignore[list-item]
     assert cut_at([frame] * 2) is None  # type: ignore[list-item]
+
+
+# events
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("", 1), ("us", 10**3), ("ms", 10**6), ("s", 10**9)])
+def test_times_of_events_in_another_unit_are_told(unit: str, factor: int) -> None:
+    """Fails where milliseconds are taken for ns, so that the trial lies in 1970."""
+    at_ns = 1_780_000_003_000_000_000
+    text = json.dumps({"event": "close", "t_ns": at_ns // factor})
+    event = event_of(text, at_ns + 200_000_000)
+    assert (event.t_ns, event.unit) == (at_ns, unit)
+    years_ago = event_of(json.dumps({"event": "close", "t_ns": 12_300_000_000}), at_ns)
+    assert (years_ago.t_ns, years_ago.unit) == (12_300_000_000, ""), "simulated time"
+
+
+def test_a_unit_of_events_is_noted(tmp_path: Path, messages: list[Message]) -> None:
+    def in_ms(m: Message) -> Message:
+        fields = json.loads(m[3].data)
+        fields["t_ns"] = fields.get("t_ns", m[0]) // 10**6
+        return [*m[:3], TYPES[m[2]](data=json.dumps(fields))]
+
+    made = [in_ms(m) if m[1] == EVENTS else m for m in messages]
+    trial = opened(write(tmp_path / "a.mcap", made))
+    assert any("t_ns of events is in ms" in n for n in trial.notes)
+    assert trial.close.source == "event"
+
+
+def test_a_label_one_level_down_is_read() -> None:
+    """Fails where a state machine's own result is dropped without a word."""
+    event = event_of('{"event": "result", "data": {"success": false, "reason": "slipped"}}', 5)
+    assert Events((event,)).label() == "failure"
+    outer = event_of('{"event": "result", "success": true, "data": {"success": false}}', 5)
+    assert Events((outer,)).label() == "success"
+
+
+# joints
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_a_joint_that_moves_and_is_fixed_in_the_description_fails_its_check(
+    tmp_path: Path, messages: list[Message], moved: bool
+) -> None:
+    """Fails where a planner's description, in which the arm stands still, doubles the speed."""
+    joint = "gantry_x"
+
+    def fixed(m: Message) -> Message:
+        text = re.sub(f'(<joint name="{joint}" type=)"[a-z]+"', r'\1"fixed"', m[3].data)
+        assert text != m[3].data
+        return [*m[:3], TYPES[m[2]](data=text)]
+
+    def still(state: Any) -> None:
+        state.position = state.position.copy()
+        state.position[list(state.name).index(joint)] = 0.3
+
+    made = messages if moved else with_states(messages, still)
+    made = [fixed(m) if m[1].endswith("robot_description") else m for m in made]
+    trial = opened(write(tmp_path / "a.mcap", made))
+    told = [c for c in trial.checks if "fixed in the description" in c.what]
+    assert len(told) == moved
+
+
+def test_the_best_place_at_the_border_of_the_search_is_none() -> None:
+    """Fails where ground full of edges, from a camera that stands still, makes depth lie 48 px
+    beside colour: the score rises on past what was searched.
+    """
+    rng = np.random.default_rng(3)
+    frames = []
+    for k in range(12):
+        depth = np.full((240, 320), 1.2, np.float32)
+        depth[100:140, 100 + 2 * k : 130 + 2 * k] = 1.0
+        colour = np.full((240, 320, 3), 90, np.uint8)
+        colour[40:80, 160 + 2 * k : 190 + 2 * k] = 200  # 60 px right, 60 px up
+        colour = np.clip(colour + rng.normal(0, 2, colour.shape), 0, 255).astype(np.uint8)
+        frames.append(SimpleNamespace(colour=colour, depth=depth))
+    found = depth_off(frames)  # type: ignore[arg-type]
+    assert found is None or found.turned

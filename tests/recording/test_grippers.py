@@ -257,3 +257,23 @@ def test_an_effort_that_rises_before_the_lift(tmp_path: Path, messages: list[Mes
     assert found is not None
     assert abs(found - close_ns) < 150_000_000
     assert opened(write(tmp_path / "b.mcap", quiet)).close.source is None
+
+
+@pytest.mark.parametrize(
+    ("topic", "values", "opens"),
+    [
+        ("/gripper/command", [0.0, 0.0, 1.0, 1.0, 0.0], [4]),  # a stream begins open
+        ("/gripper/command", [1.0, 0.0], []),  # which of two opens is not known
+        ("/gripper/width_command", [0.02, 0.08], [1]),
+        ("/gripper/close_cmd", [1.0, 0.0], [1]),
+        ("/gripper/open", [0.0, 1.0], [1]),
+        ("/gripper/command", [500.0, 500.0], []),
+    ],
+)
+def test_commands_that_open_are_no_closes(
+    topic: str, values: list[float], opens: list[int]
+) -> None:
+    """Fails where the last command before the palm rises is a close, whatever it says."""
+    times = np.arange(len(values), dtype=np.int64) * S
+    track = GripperTrack(topic, "command", times, np.array(values))
+    assert track.openings() == {int(times[k]) for k in opens}

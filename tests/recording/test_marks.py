@@ -85,8 +85,8 @@ def test_prose_is_quoted(tmp_path: Path, messages: list[Message]) -> None:
 def test_a_close_outside_of_the_images_fails_a_check(
     tmp_path: Path, messages: list[Message]
 ) -> None:
-    """Fails where a t_ns in seconds makes the close vanish."""
-    text = json.dumps({"event": "close", "t_ns": 1780000003})
+    """Fails where a t_ns that is hours off makes the close vanish."""
+    text = json.dumps({"event": "close", "t_ns": 1780009003000000000})
     trial = opened(write(tmp_path / "a.mcap", marked(messages, (CLOSE_EVENT,), text)))
     assert "events" in [c.name for c in trial.checks]
 

@@ -52,8 +52,13 @@ def trial(
     checks: Sequence[str] = (),
     palm_known: float = 1.0,
     palm_speed: float = 0.1,
+    ended: bool = True,
+    gripper: dict[str, list[tuple[int, float]]] | None = None,
 ) -> Any:
-    """A trial whose last frame is `last_s` after the close; the log of the joints is as given."""
+    """A trial whose last frame is `last_s` after the close; the log of the joints is as given.
+
+    ended: whether its end is marked. gripper: time, ns, and number, by topic of a command.
+    """
     last_ns = at(last_s)
 
     def T_base_palm(t_ns: int) -> Array | None:
@@ -62,15 +67,29 @@ def trial(
         return T if t_ns - START <= palm_known * (last_ns - START) else None
 
     every = [*events, *([Event(CLOSE, "close", {})] if closed else [])]
+    every += [Event(last_ns, "trial_end", {})] if ended else []
+    known = {name: SimpleNamespace(type="std_msgs/msg/Float64") for name in gripper or {}}
     return SimpleNamespace(
         spec=SimpleNamespace(label=label, end_ns=None if end_s is None else at(end_s)),
         events=Events(tuple(every)),
         event_ns=lambda kind: next((e.t_ns for e in every if e.kind == kind), None),
         damage=list(damage),
         # `hand_distance` is replaced where it counts
-        robot=SimpleNamespace(samples=tuple(joints), T_base_palm=T_base_palm, description=None),
+        robot=SimpleNamespace(
+            samples=tuple(joints),
+            T_base_palm=T_base_palm,
+            description=None,
+            joints=SimpleNamespace(times={}, values={}),
+        ),
+        roles=SimpleNamespace(colour="/colour"),
         pairs=[Pair(START, 0, 0), Pair(last_ns, 1, 1)],
-        scan=SimpleNamespace(poses={}, times={}, twists={}),
+        scan=SimpleNamespace(
+            poses={},
+            times={},
+            twists={},
+            grippers=gripper or {},
+            opened=SimpleNamespace(topics=known),
+        ),
         config=Config(),
         opened=None,
         close=SimpleNamespace(missing=missing),
@@ -277,6 +296,15 @@ def test_efforts_that_are_zero_all_the_time_are_none() -> None:
     zeros = dict.fromkeys(FLEXION, 0.0)
     joints = [JointSample(at(4 - 0.02 * k), {}, zeros) for k in reversed(range(20))]
     assert outcome(trial(joints=joints), None).outcome == "unknown"
+
+
+def test_efforts_that_no_drive_gives_are_in_other_units() -> None:
+    """Fails where currents in mA, whose noise passes every threshold in Nm, make a failure a
+    success.
+    """
+    found = outcome(trial(joints=efforts(210.0, 140.0, 7.0, 7.0, 7.0)), None)
+    assert found.outcome == "unknown"
+    assert "the fingers' efforts reach 210, more than this hand's 10 Nm" in found.evidence
 
 
 def test_efforts_of_abduction_are_not_a_grip() -> None:
@@ -534,3 +562,27 @@ def test_sightings_after_it_was_put_down_say_nothing(
     monkeypatch.setattr("dgeval.verdict.log.release_after", lambda *_: at(2.05))
     joints = efforts(0.0, 0.0, last_s=1.0)[:1]
     assert outcome(trial(joints=joints), seen([0.0] * 3)).outcome == "unknown"
+
+
+@pytest.mark.parametrize(("ended", "speed"), [(True, 0.1), (False, 0.1), (False, 0.0)])
+def test_a_log_that_ends_while_the_hand_comes_nearer_has_not_ended(
+    ended: bool, speed: float
+) -> None:
+    """Fails where a recorder that stops before the close makes a failure of every success."""
+    made = trial(closed=False, ended=ended, palm_speed=speed)
+    found = outcome(made, SimpleNamespace(nearest_m=0.05))
+    cut = not ended and speed > 0
+    assert found.outcome == ("unknown" if cut else "failure")
+    assert ("no trial_end is marked" in found.evidence) == cut
+
+
+@pytest.mark.parametrize("values", [(1.0, 0.0), (0.0, 800.0)])
+def test_a_gripper_that_is_told_to_open_lets_go(values: tuple[float, float]) -> None:
+    """Fails where a thing that was put down on purpose was left on its support: fingers that are
+    not recorded don't show that the hand opens.
+    """
+    told = {"/gripper/command": list(zip((CLOSE, at(3.0)), values, strict=True))}
+    log = log_of(trial(joints=jaws(0.0, 0.0), gripper=told))
+    assert log.released_ns == at(3.0)
+    again = {"/gripper/command": [(CLOSE, 1.0), (at(2.0), 1.0), (at(3.0), 1.0)]}
+    assert log_of(trial(joints=jaws(0.0, 0.0), gripper=again)).released_ns is None
