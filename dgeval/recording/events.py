@@ -44,8 +44,9 @@ class Events:
         return out
 
     def label(self) -> Literal["success", "failure"] | None:
-        """What the first label that can be read says."""
-        return next((known for _, text in self.labels() if (known := label_of(text))), None)
+        """What the labels that can be read say; None where they contradict each other."""
+        said = {known for _, text in self.labels() if (known := label_of(text))}
+        return said.pop() if len(said) == 1 else None
 
     def notes(self) -> list[str]:
         """What the entries at the trial's start say about how it was recorded."""

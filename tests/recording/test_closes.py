@@ -233,3 +233,29 @@ def test_a_hand_that_opens_again(
     else:
         assert found_ns is not None
         assert abs(found_ns / S - released_s) < 0.06
+
+
+def test_a_lift_without_a_close_is_no_hand_that_never_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Fails where a log that begins after the close tells that the hand never closed."""
+    made = robot(monkeypatch, [(0, SHUT), (5, SHUT)], [(0, LOW), (1, HIGH), (5, HIGH)])
+    marked = [Event(S, "lift", {}), Event(4 * S, "trial_end", {})]
+    known = close_of(Events(tuple(marked)), made, 0, 5 * S)
+    assert known.missing is not None
+    assert "does the log begin after it" in known.missing
+    never = close_of(Events(tuple(marked[1:])), made, 0, 5 * S)
+    assert never.missing is None
+
+
+@pytest.mark.parametrize(("marked_s", "is_told"), [(1.0, True), (1.8, False), (2.0, False)])
+def test_a_close_that_is_marked_long_before_the_fingers_move(
+    monkeypatch: pytest.MonkeyPatch, marked_s: float, is_told: bool
+) -> None:
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (2, OPEN), (2.5, SHUT), (5, SHUT)],
+        [(0, LOW), (3, LOW), (3.8, HIGH), (5, HIGH)],
+    )
+    known = close_of(Events((Event(round(marked_s * S), "close", {}),)), made, 0, 5 * S)
+    assert ("if the mark is early: --close +2.0" in known.note) == is_told

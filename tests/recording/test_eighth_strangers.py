@@ -14,7 +14,7 @@ import pytest
 from dgeval.recording.depth_edges import depth_off
 from dgeval.recording.depth_unit import cut_at
 from dgeval.recording.events import Events
-from dgeval.recording.messages import event_of
+from dgeval.recording.messages import Event, event_of
 from dgeval.recording.transforms import TransformTree
 from dgeval.recording.trials import Trial
 from tests.recording.recorders import (
@@ -192,6 +192,13 @@ def test_a_label_one_level_down_is_read() -> None:
     assert Events((event,)).label() == "failure"
     outer = event_of('{"event": "result", "success": true, "data": {"success": false}}', 5)
     assert Events((outer,)).label() == "success"
+
+
+def test_labels_that_contradict_each_other_are_none() -> None:
+    """Fails where the label of the trial before, typed too late, is this one's."""
+    said = [Event(k, "label", {"label": word}) for k, word in enumerate(("failure", "success"))]
+    assert Events(tuple(said)).label() is None
+    assert Events(tuple(said[1:])).label() == "success"
 
 
 # joints

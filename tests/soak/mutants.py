@@ -2156,6 +2156,84 @@ MUTANTS = [
         '    "32SC1": (np.uint8, 1),',
         "tests/recording/test_recorded_tracking.py::test_every_frame_gets_what_is_marked_in_it",
     ),
+    Mutant(
+        "dgeval/recording/joint_checks.py",
+        "and np.ptp(q) > MOVES_FIXED:",
+        "and np.ptp(q) > 9 * MOVES_FIXED:",
+        "tests/recording/test_eighth_strangers.py::test_a_joint_that_moves_and_is_fixed_in_the_description_fails_its_check",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        "(peak := _peak(log, grip)) > grip.most:",
+        "(peak := _peak(log, grip)) > 99 * grip.most:",
+        "tests/verdict/test_outcome.py::test_efforts_that_no_drive_gives_are_in_other_units",
+    ),
+    Mutant(
+        "dgeval/recording/depth_edges.py",
+        "        or np.abs(found).max() == FARTHEST  # no peak: it may go on rising from there\n",
+        "",
+        "tests/recording/test_eighth_strangers.py::test_the_best_place_at_the_border_of_the_search_is_none",
+    ),
+    Mutant(
+        "dgeval/recording/messages.py",
+        "    t_ns, unit = _in_ns(t_ns, log_ns)\n",
+        '    unit = ""\n',
+        "tests/recording/test_eighth_strangers.py::test_times_of_events_in_another_unit_are_told",
+    ),
+    Mutant(
+        "dgeval/recording/messages.py",
+        "    if not any(key in fields for key in LABEL_KEYS):  # a state",
+        "    if False:  # a state",
+        "tests/recording/test_eighth_strangers.py::test_a_label_one_level_down_is_read",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        'if outcome != "unknown" and log.is_cut:',
+        "if False:",
+        "tests/verdict/test_outcome.py::test_a_log_that_ends_while_the_hand_comes_nearer_has_not_ended",
+    ),
+    Mutant(
+        "dgeval/verdict/log.py",
+        "if times is not None and max(times.arrays()[0], default=0) - last_ns > GOES_ON_NS:",
+        "if times is not None:",
+        "tests/verdict/test_outcome.py::test_a_log_that_ends_while_the_hand_comes_nearer_has_not_ended",
+    ),
+    Mutant(
+        "dgeval/verdict/log.py",
+        "        if released_ns is None:\n            told",
+        "        if False:\n            told",
+        "tests/verdict/test_outcome.py::test_a_gripper_that_is_told_to_open_lets_go",
+    ),
+    Mutant(
+        "dgeval/recording/grippers.py",
+        "if abs(float(np.interp(end, self.times, self.values)) - opens) < OPENS_BY * span",
+        "if False",
+        "tests/recording/test_grippers.py::test_commands_that_open_are_no_closes",
+    ),
+    Mutant(
+        "dgeval/recording/closes.py",
+        "if isinstance(found, NoClose) and events.first_ns(LIFT_EVENT) is not None:",
+        "if False:",
+        "tests/recording/test_closes.py::test_a_lift_without_a_close_is_no_hand_that_never_closed",
+    ),
+    Mutant(
+        "dgeval/recording/closes.py",
+        "if fingers_ns is None or fingers_ns - close_ns <= EARLY_NS:",
+        "if fingers_ns is None or fingers_ns - close_ns <= 9 * EARLY_NS:",
+        "tests/recording/test_closes.py::test_a_close_that_is_marked_long_before_the_fingers_move",
+    ),
+    Mutant(
+        "dgeval/recording/events.py",
+        "return said.pop() if len(said) == 1 else None",
+        "return min(said, default=None)",
+        "tests/recording/test_eighth_strangers.py::test_labels_that_contradict_each_other_are_none",
+    ),
+    Mutant(
+        "dgeval/verdict/draws.py",
+        "BLIND_HELD * scene.held",
+        "0.0 * scene.held",
+        "tests/verdict/test_decide.py::test_a_held_object_that_gives_way_is_not_seen_pushed",
+    ),
 ]
 
 
