@@ -23,6 +23,7 @@ from dgeval.perception.plane import Plane
 from dgeval.recording.events import Events
 from dgeval.recording.messages import Event, JointSample
 from dgeval.recording.pairing import Pair
+from dgeval.recording.scan import TopicTimes
 from dgeval.verdict.log import log_of
 from dgeval.verdict.outcome import Ended, outcome_of
 
@@ -574,6 +575,11 @@ def test_a_log_that_ends_while_the_hand_comes_nearer_has_not_ended(
     cut = not ended and speed > 0
     assert found.outcome == ("unknown" if cut else "failure")
     assert ("no trial_end is marked" in found.evidence) == cut
+    for after_s, told in ((0.2, "unknown"), (2.0, "failure")):  # images of another trial
+        stamps = [START, at(4.0 + after_s)]
+        made.scan.times["/colour"] = TopicTimes(stamps, stamps)
+        if cut:
+            assert outcome(made, SimpleNamespace(nearest_m=0.05)).outcome == told
 
 
 @pytest.mark.parametrize("values", [(1.0, 0.0), (0.0, 800.0)])
