@@ -76,6 +76,7 @@ CLOSE_S = 0.4  # s, closing ramp; ours: it closes as a hand that is sent to CLOS
 # to 0.01 Nm in simulated trials.
 HELD_NM = 0.05
 GRASP_CENTRE = np.array([0.05, 0.012, 0.165])  # m in hand_base, where held objects are; ours
+OVER_NOISE = 4.0  # times the error of its mean, that an effort must be; ours
 MOST_NM = 10.0  # five times what its strongest drive gives; more is no effort in Nm; ours
 # Of the three drives of a finger, Nm/rad and Nm; ours, so that known grasps hold.
 STIFFNESS, FORCE = (3.0, 3.0, 1.8), (2.0, 1.15, 0.95)
@@ -224,8 +225,11 @@ def grip(efforts: Array) -> tuple[bool, str]:
     efforts (n, 10) Nm: of the two flexion joints of each finger, over some time. Two pressing
     fingers hold something.
     """
-    effort: Array = np.abs(np.mean(efforts, axis=0)).reshape(5, 2).max(axis=1)
-    pressing = int((effort > HELD_NM).sum())
+    mean: Array = np.abs(np.mean(efforts, axis=0)).reshape(5, 2)
+    # what the noise of the samples leaves of a mean is no effort
+    noise: Array = (np.std(efforts, axis=0) / np.sqrt(len(efforts))).reshape(5, 2)
+    effort = mean.max(axis=1)
+    pressing = int((mean > np.maximum(HELD_NM, OVER_NOISE * noise)).any(axis=1).sum())
     listed = ", ".join(f"{v:.2f}" for v in effort)
     if pressing >= 2:
         return True, f"{pressing} fingers still press at the end ({listed} Nm)"

@@ -2234,6 +2234,18 @@ MUTANTS = [
         "0.0 * scene.held",
         "tests/verdict/test_decide.py::test_a_held_object_that_gives_way_is_not_seen_pushed",
     ),
+    Mutant(
+        "dgeval/robots/dlr_hit_hand.py",
+        "np.maximum(HELD_NM, OVER_NOISE * noise)",
+        "HELD_NM",
+        "tests/verdict/test_outcome.py::test_the_mean_of_noise_is_no_grip",
+    ),
+    Mutant(
+        "dgeval/recording/grippers.py",
+        "is_width = any(word in _last(self.topic) for word in WIDTHS)",
+        "is_width = False",
+        "tests/recording/test_grippers.py::test_commands_that_open_are_no_closes",
+    ),
 ]
 
 

@@ -592,3 +592,18 @@ def test_a_gripper_that_is_told_to_open_lets_go(values: tuple[float, float]) -> 
     assert log.released_ns == at(3.0)
     again = {"/gripper/command": [(CLOSE, 1.0), (at(2.0), 1.0), (at(3.0), 1.0)]}
     assert log_of(trial(joints=jaws(0.0, 0.0), gripper=again)).released_ns is None
+
+
+def test_the_mean_of_noise_is_no_grip() -> None:
+    """Fails where percent of a motor's current, with noise of 2, make a failure a success."""
+    rng = np.random.default_rng(5)
+    noisy = [
+        replace(s, efforts={n: e + rng.normal(0, 2.0) for n, e in s.efforts.items()})
+        for s in efforts(0.6, 0.6, 0.0, 0.0, 0.0, n=50)
+    ]
+    assert outcome(trial(joints=noisy), None).outcome == "failure"
+    clear = [
+        replace(s, efforts={n: e + rng.normal(0, 0.02) for n, e in s.efforts.items()})
+        for s in efforts(0.3, 0.3, 0.0, 0.0, 0.0, n=50)
+    ]
+    assert outcome(trial(joints=clear), None).outcome == "success"
