@@ -1071,8 +1071,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/verdict/draws.py",
-        "blind = BLIND_DESCRIBED if described else 0.0",
-        "blind = 0.0",
+        "BLIND_DESCRIBED * described",
+        "0.0 * described",
         "tests/verdict/test_decide.py",
     ),
     Mutant(
@@ -1408,8 +1408,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/perception/pipeline.py",
-        "if tracked.pose_stands else predicted",
-        "if False else predicted",
+        "if tracked.pose_stands else carried",
+        "if False else carried",
         "tests/perception/test_recorded_tracker.py",
     ),
     Mutant(
@@ -1948,8 +1948,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/cameras.py",
-        "and depth.frame_id not in known",
-        "and depth.frame_id in known",
+        "depth.frame_id not in placed.keys() | {parent for parent, _ in placed.values()}",
+        "depth.frame_id in placed.keys()",
         "tests/recording/test_other_pictures.py::test_aligned_depth_under_a_frame_that_nothing_places",
     ),
     Mutant(
