@@ -107,6 +107,13 @@ def close_of(
         )
     if told is not None:
         track, close_ns, lift_at, risen_before = told
+        if risen_before is not None and track.kind == "command":
+            times = [f"{(t - first_ns) * 1e-9:+.2f}" for t in (risen_before, close_ns)]
+            why = (
+                f"{track.topic} is told to move at {times[0]} and {times[1]} s, and the palm rises "
+            )
+            why += f"after both: which of them closes? --close {times[0]} or --close {times[1]}"
+            return CloseKnown(events, None, why)
         events = _with(events, CLOSE_EVENT, close_ns)
         if lift_ns is None:
             events = _with(events, LIFT_EVENT, lift_at)
@@ -118,9 +125,6 @@ def close_of(
             f"before the palm rises: taken for the close{late if track.kind == 'effort' else ''}; "
             f"if that is wrong: {MENDS}"
         )
-        if risen_before is not None:
-            at = (risen_before - first_ns) * 1e-9
-            note += f" (the palm rises after the one at {at:+.2f} s too: --close {at:+.2f})"
         return CloseKnown(events, track.kind, None, note, fingers_ns)
     if isinstance(found, NoClose) and events.first_ns(LIFT_EVENT) is not None:
         why = "a lift is marked and no close: does the log begin after it?"
@@ -225,17 +229,22 @@ def _by_grippers(
     for track in grippers:
         if track.kind not in kinds:
             continue
-        openings = track.openings()
+        openings, returns = track.openings(), track.returns()
         changes = [(a, b) for a, b in track.changes() if a not in openings]
         for k in reversed(range(len(changes))):
             start, end = changes[k]
             if not first_ns <= start <= last_ns or opens_after(robot, start, last_ns):
                 continue
+            # where it is known which commands open, those that are left are attempts
+            earlier = [] if openings else changes[:k]
+            risen = _rises_before(robot, earlier, first_ns, start)
+            if start in returns and risen is not None:
+                continue  # what was lifted with the command before is let go
             rest = end if end > start else end + round(WITHIN_S * 1e9)
             lift = lift_after(robot, start, rest, last_ns)
             if lift is not None and lift - start >= BEFORE_LIFT_NS:
                 if best is None or start > best[1]:
-                    best = track, start, lift, _rises_before(robot, changes[:k], first_ns, start)
+                    best = track, start, lift, risen
                 break
     return best
 

@@ -19,6 +19,7 @@ from dgeval.recording.robot import RobotStates
 
 LEAST_M = 0.004  # m, least range of a hand that is said to close at all; ours
 STEP_NS = 10_000_000  # ns, between the times at which the hand is looked at
+LEAST_SEEN = 10  # times at which the fingers are known, to be seen; ours
 STILL_NS = 100_000_000  # ns; a closing motion may pause for so long
 RESTING_NS = 250_000_000  # ns; fingers that met the object may go on within so long; ours
 # ns; fingers that begin to move less than this before the palm rises, or while it does, slip or
@@ -113,6 +114,12 @@ def opens_after(robot: RobotStates, t_ns: int, last_ns: int) -> bool:
     if len(width) < 2 or width.min() < width[0] - LEAST_M / 2:
         return False
     return bool(width[-1] - width[0] > LEAST_M)
+
+
+def fingers_seen(robot: RobotStates, first_ns: int, last_ns: int) -> bool:
+    """Whether it is known between two times how far the fingers are apart."""
+    tips = _finger_ends(robot)
+    return len(tips) >= 2 and len(_width(robot, tips, first_ns, last_ns)[1]) >= LEAST_SEEN
 
 
 def release_after(robot: RobotStates, close_ns: int, last_ns: int) -> int | None:

@@ -57,8 +57,6 @@ WITHIN_S = 1.5  # s, in which it does so
 # samples of a width, from which on noise is told from motion, and times the usual step between two,
 # below which the range of all is noise; ours
 DENSE, TREMBLES = 50, 12.0
-
-
 OPENS_BY = 0.25  # share of its range, within which a command is the one that opens; ours
 # s after a close, by which its command is given and its fingers rest; and share of the range by
 # which they are then told elsewhere, to be an opening; ours
@@ -108,24 +106,28 @@ class GripperTrack:
         return [m for m, (before, after) in zip(motions, at, strict=True) if after < before]
 
     def openings(self) -> set[int]:
-        """Those of `changes` by which a command opens the hand, by their start: what goes back to
-        the value that a stream began with, as a hand that is to grasp is open then; the largest of
-        a width; the No of a topic that is called close or grasp, the Yes of open or release.
+        """Those of `changes` by which a command opens the hand, by their start: to the largest of a
+        width, to the No of a topic that is called close or grasp, the Yes of open or release.
         """
-        if self.kind != "command":
-            return set()
-        span = float(np.ptp(self.values))
         order = ORDER_OPENS.get(_last(self.topic)) if {*self.values} <= {0.0, 1.0} else None
         is_width = any(word in _last(self.topic) for word in WIDTHS)
         widest = float(self.values.max(initial=-np.inf)) if is_width else None
-        as_begun = self.values[0] if len(self.values) > SINGLE else None
-        opens = next((v for v in (order, widest, as_begun) if v is not None), None)
-        if opens is None or span < 1e-6:
+        return self._changes_to(widest if order is None else order)
+
+    def returns(self) -> set[int]:
+        """Those of a stream of commands that go back to what it began with, by their start: an
+        opening where the hand was open then, as it mostly is.
+        """
+        return self._changes_to(self.values[0] if len(self.values) > SINGLE else None)
+
+    def _changes_to(self, value: float | None) -> set[int]:
+        span = float(np.ptp(self.values)) if len(self.values) else 0.0
+        if self.kind != "command" or value is None or span < 1e-6:
             return set()
         return {
             start
             for start, end in self.changes()
-            if abs(float(np.interp(end, self.times, self.values)) - opens) < OPENS_BY * span
+            if abs(float(np.interp(end, self.times, self.values)) - value) < OPENS_BY * span
         }
 
     def released_ns(self, close_ns: int, last_ns: int) -> int | None:

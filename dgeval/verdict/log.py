@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dgeval.geometry import Array
 from dgeval.recording.check import PART_CHECK
 from dgeval.recording.closes import gripper_tracks
-from dgeval.recording.closing_motion import release_after
+from dgeval.recording.closing_motion import fingers_seen, release_after
 from dgeval.recording.containers.container import Opened
 from dgeval.recording.contract import (
     CLOSE_EVENT,
@@ -144,7 +144,7 @@ def log_of(trial: Trial, elsewhere: HandEstimate | None = None) -> TrialLog:
             trial.robot.samples[-1].t_ns, trial.spec.end_ns or trial.robot.samples[-1].t_ns
         )
         released_ns = release_after(trial.robot, close_ns, until_ns)
-        if released_ns is None:
+        if released_ns is None and not fingers_seen(trial.robot, close_ns, until_ns):
             told = [t.released_ns(close_ns, until_ns) for t in gripper_tracks(scan, trial.robot)]
             released_ns = min((t for t in told if t is not None), default=None)
     stamps = np.zeros(0, dtype=np.int64)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dgeval.recording.closes import close_of
 from dgeval.recording.contract import CLOSE_EVENT
 from dgeval.recording.events import Events
 from dgeval.recording.grippers import (
@@ -262,8 +263,8 @@ def test_an_effort_that_rises_before_the_lift(tmp_path: Path, messages: list[Mes
 @pytest.mark.parametrize(
     ("topic", "values", "opens"),
     [
-        ("/gripper/command", [0.0, 0.0, 1.0, 1.0, 0.0], [4]),  # a stream begins open
-        ("/gripper/command", [1.0, 0.0], []),  # which of two opens is not known
+        ("/gripper/command", [0.0, 0.0, 1.0, 1.0, 0.0], []),  # which of two opens is not known
+        ("/gripper/command", [1.0, 0.0], []),
         ("/gripper/width_command", [0.02, 0.08], [1]),
         ("/gripper/close_cmd", [1.0, 0.0], [1]),
         ("/gripper/open", [0.0, 1.0], [1]),
@@ -277,3 +278,57 @@ def test_commands_that_open_are_no_closes(
     times = np.arange(len(values), dtype=np.int64) * S
     track = GripperTrack(topic, "command", times, np.array(values))
     assert track.openings() == {int(times[k]) for k in opens}
+    is_stream = len(values) > 3 and values[0] != values[2]
+    assert track.returns() == ({int(times[4])} if is_stream else set())
+
+
+@pytest.mark.parametrize(("carried", "close_s"), [(True, 2.0), (False, 3.0)])
+def test_a_stream_that_goes_back_to_where_it_began(carried: bool, close_s: float) -> None:
+    """Fails where what is put down is closed on: open, close, lift, open and away; or where a hand
+    that is closed at rest, opens and closes, is told to close when it opens.
+    """
+    heights = [(0, 0.3), (1.5, 0.1), (2.5, 0.1), (2.9, 0.3 if carried else 0.1)]
+    heights += [(2.95, 0.1), (3.4, 0.1), (3.9, 0.3), (6, 0.3)]
+
+    def T_base_palm(t_ns: int) -> np.ndarray:
+        T = np.eye(4)
+        T[2, 3] = np.interp(t_ns * 1e-9, *zip(*heights, strict=True))
+        return T
+
+    robot = SimpleNamespace(T_base_palm=T_base_palm, description=None)
+    times = np.arange(0, 6 * S, S // 10, dtype=np.int64)
+    values = np.where((times >= 2 * S) & (times < 3 * S), 1.0, 0.0)
+    track = GripperTrack("/gripper/command", "command", times, values)
+    found = close_of(Events(()), robot, 0, 6 * S, grippers=(track,))  # type: ignore[arg-type]
+    assert found.source == "command"
+    assert found.events.first_ns("close") == pytest.approx(close_s * S)
+
+
+@pytest.mark.parametrize(
+    ("topic", "values", "told"),
+    [
+        ("/gripper/command", [1.0, 0.0], None),
+        ("/gripper/close_cmd", [1.0, 0.0], 1.0),
+        ("/gripper/close_cmd", [1.0, 0.0, 1.0], 3.5),
+    ],
+)
+def test_which_of_two_commands_closes(topic: str, values: list[float], told: float | None) -> None:
+    """Fails where the last command is the close though the palm rises after each, as it does after
+    a grasp and after the thing is put down; or where a second attempt is no longer one.
+    """
+    heights = [(0, 0.1), (1.2, 0.1), (1.7, 0.3), (2.0, 0.1), (2.6, 0.1), (3.0, 0.3), (3.3, 0.1)]
+    heights += [(3.8, 0.1), (4.3, 0.3), (6, 0.3)]
+
+    def T_base_palm(t_ns: int) -> np.ndarray:
+        T = np.eye(4)
+        T[2, 3] = np.interp(t_ns * 1e-9, *zip(*heights, strict=True))
+        return T
+
+    times = np.array([1.0, 2.3, 3.5])[: len(values)] * S
+    track = GripperTrack(topic, "command", times.astype(np.int64), np.array(values))
+    robot = SimpleNamespace(T_base_palm=T_base_palm, description=None)
+    found = close_of(Events(()), robot, 0, 6 * S, grippers=(track,))  # type: ignore[arg-type]
+    assert found.events.first_ns("close") == (None if told is None else told * S)
+    if told is None:
+        assert found.missing is not None
+        assert "which of them closes? --close +1.00 or --close +2.30" in found.missing

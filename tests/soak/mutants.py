@@ -2200,13 +2200,13 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/verdict/log.py",
-        "        if released_ns is None:\n            told",
-        "        if False:\n            told",
+        "if released_ns is None and not fingers_seen",
+        "if False and not fingers_seen",
         "tests/verdict/test_outcome.py::test_a_gripper_that_is_told_to_open_lets_go",
     ),
     Mutant(
         "dgeval/recording/grippers.py",
-        "if abs(float(np.interp(end, self.times, self.values)) - opens) < OPENS_BY * span",
+        "if abs(float(np.interp(end, self.times, self.values)) - value) < OPENS_BY * span",
         "if False",
         "tests/recording/test_grippers.py::test_commands_that_open_are_no_closes",
     ),
@@ -2245,6 +2245,18 @@ MUTANTS = [
         "is_width = any(word in _last(self.topic) for word in WIDTHS)",
         "is_width = False",
         "tests/recording/test_grippers.py::test_commands_that_open_are_no_closes",
+    ),
+    Mutant(
+        "dgeval/recording/closes.py",
+        "if start in returns and risen is not None:",
+        "if start in returns:",
+        "tests/recording/test_grippers.py::test_a_stream_that_goes_back_to_where_it_began",
+    ),
+    Mutant(
+        "dgeval/recording/closes.py",
+        "earlier = [] if openings else changes[:k]",
+        "earlier = changes[:k]",
+        "tests/recording/test_grippers.py::test_which_of_two_commands_closes",
     ),
 ]
 

@@ -583,13 +583,18 @@ def test_a_log_that_ends_while_the_hand_comes_nearer_has_not_ended(
 
 
 @pytest.mark.parametrize("values", [(1.0, 0.0), (0.0, 800.0)])
-def test_a_gripper_that_is_told_to_open_lets_go(values: tuple[float, float]) -> None:
+def test_a_gripper_that_is_told_to_open_lets_go(
+    values: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Fails where a thing that was put down on purpose was left on its support: fingers that are
-    not recorded don't show that the hand opens.
+    not recorded don't show that the hand opens. Those that are recorded say so themselves.
     """
     told = {"/gripper/command": list(zip((CLOSE, at(3.0)), values, strict=True))}
     log = log_of(trial(joints=jaws(0.0, 0.0), gripper=told))
     assert log.released_ns == at(3.0)
+    with monkeypatch.context() as known:
+        known.setattr("dgeval.verdict.log.fingers_seen", lambda *_: True)
+        assert log_of(trial(joints=jaws(0.0, 0.0), gripper=told)).released_ns is None
     again = {"/gripper/command": [(CLOSE, 1.0), (at(2.0), 1.0), (at(3.0), 1.0)]}
     assert log_of(trial(joints=jaws(0.0, 0.0), gripper=again)).released_ns is None
 
