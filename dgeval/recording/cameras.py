@@ -31,6 +31,9 @@ def _has(name: str, *parts: str) -> bool:
     return any(part in name.lower() for part in parts)
 
 
+DISPARITY = "disparity"  # in the names of topics whose numbers are px, and larger the nearer
+
+
 def colour_topics(scan: Scan, heads: dict[str, ImageHead]) -> list[str]:
     """Topics that may be colour, the likeliest by name first."""
     return sorted(
@@ -57,7 +60,9 @@ def depth_topics(scan: Scan, heads: dict[str, ImageHead]) -> list[str]:
         (
             n
             for n, h in heads.items()
-            if h.encoding in DEPTH_ENCODINGS and (h.encoding != "mono16" or _has(n, "depth"))
+            if h.encoding in DEPTH_ENCODINGS
+            and (h.encoding != "mono16" or _has(n, "depth"))
+            and not _has(n, DISPARITY)
         ),
         key=lambda n: (
             not _has(n, *ALIGNED),

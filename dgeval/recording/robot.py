@@ -7,6 +7,7 @@ transform tree.
 from __future__ import annotations
 
 import itertools
+import re
 from bisect import bisect_left
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -36,6 +37,14 @@ from dgeval.robots.recognition import known_hand
 
 # names of the robot's base in common descriptions, in order of preference
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
+TAGS = (
+    "tag",
+    "apriltag",
+    "marker",
+    "aruco",
+    "charuco",
+    "object",
+)  # in names of frames that may move; ours
 ODOMETRY = "odom"  # where the body of a robot is the top of its tree
 SAME_POSE = 0.005  # m and parts of a quaternion; transforms that differ by less are one; ours
 ONE_OF_THEM = "the last counts; record one of them"
@@ -337,6 +346,12 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         notes.append("no camera pose recorded: the base frame is the camera frame")
     if base is None:
         palm = palm if config.frames.palm is not None else None
+    words = re.split(r"[^a-z]+", "" if config.frames.base else (base or "").lower())
+    if any(word in TAGS for word in words):
+        notes.append(
+            f"the base frame is {base!r}, the top of the tree: if that is on a thing that moves, "
+            "speeds are against it; another: frames.base"
+        )
     for child, parents in tree.reparented().items():
         notes.append(
             f"the frame {child!r} is given in {', '.join(map(repr, parents))}; each transform "

@@ -12,6 +12,7 @@ from dgeval.config import RolesConfig
 from dgeval.errors import Place, UnreadableError, UsageError
 from dgeval.recording.cameras import (
     COLOUR_ENCODINGS,
+    DISPARITY,
     choose_camera,
     depth_topics,
     intrinsics_of,
@@ -341,6 +342,8 @@ def _no_depth(scan: Scan, topic: str) -> str:
     if scan.opened.topics[topic].type == "sensor_msgs/msg/PointCloud2":
         return "a cloud, and only depth images are read"
     head = scan.images.get(topic)
+    if head is not None and head.encoding in DEPTH_ENCODINGS and _has(topic, DISPARITY):
+        return "disparity, in px, and not depth: record depth"
     if head is not None and head.encoding in COLOUR_ENCODINGS and _has(topic, "depth"):
         form = f"{head.format} " if head.format else ""
         return (

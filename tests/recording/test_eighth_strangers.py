@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dgeval.errors import UnreadableError
 from dgeval.recording.depth_edges import depth_off
 from dgeval.recording.depth_unit import cut_at
 from dgeval.recording.events import Events
@@ -29,6 +30,7 @@ from tests.recording.recorders import (
     opened,
     write,
 )
+from tests.recording.test_seventh_strangers import moving
 
 
 def with_states(messages: list[Message], change: Any) -> list[Message]:
@@ -242,3 +244,40 @@ def test_the_best_place_at_the_border_of_the_search_is_none() -> None:
         frames.append(SimpleNamespace(colour=colour, depth=depth))
     found = depth_off(frames)  # type: ignore[arg-type]
     assert found is None or found.turned
+
+
+# names that say what a number or a frame is
+
+
+def test_disparity_is_no_depth(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where px are taken for metres, and two mends go in a circle."""
+    listed = [m for m in messages if m[1] != DEPTH]
+    name = "/camera/stereo/disparity_raw"
+    made = [
+        [m[0], name, "sensor_msgs/msg/Image", image(m[3], 40.0 / depth_m(m), "32FC1")]
+        for m in messages
+        if m[1] == DEPTH
+    ]
+    with pytest.raises(UnreadableError) as refused:
+        opened(write(tmp_path / "a.mcap", [*listed, *made]))
+    assert f"{name}: disparity, in px, and not depth" in refused.value.what
+    both = opened(write(tmp_path / "b.mcap", [*messages, *made]))
+    assert both.roles.depth == DEPTH
+    assert opened(tmp_path / "a.mcap", f"roles.depth={name}").roles.depth == name
+
+
+def depth_m(message: Message) -> np.ndarray:
+    return np.maximum(depth_codes(message[3]), 200).astype(np.float32) * np.float32(0.001)
+
+
+@pytest.mark.parametrize(("base", "told"), [("tag36h11:5", True), ("stage_link", False)])
+def test_a_tag_at_the_top_of_the_tree_is_told(
+    tmp_path: Path, messages: list[Message], demo_trial: Trial, base: str, told: bool
+) -> None:
+    """Fails where a tag that lies on the target is the floor, against which nothing moves."""
+    listed = [m for m in messages if m[1] != JOINTS and not m[1].endswith("robot_description")]
+    optical = demo_trial.robot.camera_frame
+    listed += moving(messages, demo_trial, base, optical)
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert trial.robot.base_frame == base
+    assert any("the top of the tree" in n for n in trial.notes) == told
