@@ -32,9 +32,9 @@ def load_description(
             io.BytesIO(text.encode()), build_scene_graph=False, load_meshes=False
         )
     except Exception as error:
-        raise UsageError(
-            f"the robot description is not a URDF ({describe(error)})", Place(source)
-        ) from error
+        what = f"the robot description is not a URDF ({describe(error)})"
+        hint = "it is a xacro that was not expanded: record what xacro makes of it"
+        raise UsageError(what, Place(source), hint if "xacro:" in text else None) from error
     joints: dict[str, Joint] = {}
     notes: list[str] = []
     _check_tree(robot.robot, source)

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dgeval.errors import UnreadableError
+from dgeval.errors import UnreadableError, UsageError
 from dgeval.recording.depth_edges import depth_off
 from dgeval.recording.depth_unit import cut_at
 from dgeval.recording.events import Events
 from dgeval.recording.messages import Event, event_of
 from dgeval.recording.transforms import TransformTree
 from dgeval.recording.trials import Trial
+from dgeval.robots.loading import load_description
 from tests.recording.recorders import (
     DEPTH,
     EVENTS,
@@ -281,3 +282,13 @@ def test_a_tag_at_the_top_of_the_tree_is_told(
     trial = opened(write(tmp_path / "a.mcap", listed))
     assert trial.robot.base_frame == base
     assert any("the top of the tree" in n for n in trial.notes) == told
+
+
+def test_a_xacro_is_named_as_one() -> None:
+    text = (
+        '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:property name="h" '
+        'value="1"/><link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/>'
+        '<child link="b"/><origin xyz="0 0 ${h}"/></joint></robot>'
+    )
+    with pytest.raises(UsageError, match="a xacro that was not expanded"):
+        load_description(text, "/robot_description", (), 0.01)

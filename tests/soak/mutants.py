@@ -2258,6 +2258,24 @@ MUTANTS = [
         "earlier = changes[:k]",
         "tests/recording/test_grippers.py::test_which_of_two_commands_closes",
     ),
+    Mutant(
+        "dgeval/recording/cameras.py",
+        "            and not _has(n, DISPARITY)\n",
+        "",
+        "tests/recording/test_eighth_strangers.py::test_disparity_is_no_depth",
+    ),
+    Mutant(
+        "dgeval/recording/robot.py",
+        "if any(word in TAGS for word in words):",
+        "if any(tag in word for tag in TAGS for word in words):",
+        "tests/recording/test_eighth_strangers.py::test_a_tag_at_the_top_of_the_tree_is_told",
+    ),
+    Mutant(
+        "dgeval/robots/loading.py",
+        'hint if "xacro:" in text else None',
+        "None",
+        "tests/recording/test_eighth_strangers.py::test_a_xacro_is_named_as_one",
+    ),
 ]
 
 
