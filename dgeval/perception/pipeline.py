@@ -169,7 +169,9 @@ class Perception:
         lap("registration")
         # where it is looked for is one thing, where a lost target is taken to be another
         moves = config.estimation.loss_policy != "zero"
-        carried = self.predict(frame, T_base_camera, self.T_carried, moves)
+        carried = predicted
+        if not moves or self.T_carried is not self.T_prior:
+            carried = self.predict(frame, T_base_camera, self.T_carried, moves)
         fused = _fuse(self, frame, tracked, observation, registration, (predicted, carried), config)
         lap("fusion")
         estimate = _estimate(self, frame, T_base_camera)

@@ -19,6 +19,7 @@ from dgeval.geometry import Array
 from dgeval.recording.images import DEPTH_ENCODINGS
 from dgeval.recording.scan import ImageHead, Scan
 
+DISPARITY = "disparity"  # in the names of topics whose numbers are px, and larger the nearer
 COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "8UC4", "mono8", "8UC1"})
 GREY = frozenset({"mono8", "8UC1"})
 STILL = 1e-4  # m and parts of a quaternion, by which a transform that moves changes at least; ours
@@ -29,9 +30,6 @@ ALIGNED_TO_COLOUR = ("registered", "to_color", "to_colour", "to_rgb")
 
 def _has(name: str, *parts: str) -> bool:
     return any(part in name.lower() for part in parts)
-
-
-DISPARITY = "disparity"  # in the names of topics whose numbers are px, and larger the nearer
 
 
 def colour_topics(scan: Scan, heads: dict[str, ImageHead]) -> list[str]:

@@ -108,11 +108,11 @@ def close_of(
     if told is not None:
         track, close_ns, lift_at, risen_before = told
         if risen_before is not None and track.kind == "command":
-            times = [f"{(t - first_ns) * 1e-9:+.2f}" for t in (risen_before, close_ns)]
+            one, other = (f"{(t - first_ns) * 1e-9:+.2f}" for t in (risen_before, close_ns))
             why = (
-                f"{track.topic} is told to move at {times[0]} and {times[1]} s, and the palm rises "
+                f"{track.topic} is told to move at {one} and {other} s, and the palm rises after "
+                f"both: which of them closes? --close {one} or --close {other}"
             )
-            why += f"after both: which of them closes? --close {times[0]} or --close {times[1]}"
             return CloseKnown(events, None, why)
         events = _with(events, CLOSE_EVENT, close_ns)
         if lift_ns is None:
@@ -231,8 +231,7 @@ def _by_grippers(
             continue
         openings, returns = track.openings(), track.returns()
         changes = [(a, b) for a, b in track.changes() if a not in openings]
-        for k in reversed(range(len(changes))):
-            start, end = changes[k]
+        for k, (start, end) in reversed(list(enumerate(changes))):
             if not first_ns <= start <= last_ns or opens_after(robot, start, last_ns):
                 continue
             # where it is known which commands open, those that are left are attempts
@@ -240,8 +239,7 @@ def _by_grippers(
             risen = _rises_before(robot, earlier, first_ns, start)
             if start in returns and risen is not None:
                 continue  # what was lifted with the command before is let go
-            rest = end if end > start else end + round(WITHIN_S * 1e9)
-            lift = lift_after(robot, start, rest, last_ns)
+            lift = _lift(robot, (start, end), last_ns)
             if lift is not None and lift - start >= BEFORE_LIFT_NS:
                 if best is None or start > best[1]:
                     best = track, start, lift, risen
@@ -255,9 +253,14 @@ def _rises_before(
     """The last of some changes of a gripper, ns, if the palm rises between it and a time."""
     if not changes or changes[-1][0] < first_ns:
         return None
-    start, end = changes[-1]
-    rest = max(end, start + round(WITHIN_S * 1e9))
-    return None if lift_after(robot, start, rest, until_ns) is None else start
+    return None if _lift(robot, changes[-1], until_ns) is None else changes[-1][0]
+
+
+def _lift(robot: RobotStates, change: tuple[int, int], last_ns: int) -> int | None:
+    """When the palm rises after a gripper's change, ns; the fingers of a command need a while."""
+    start, end = change
+    rest = end if end > start else end + round(WITHIN_S * 1e9)
+    return lift_after(robot, start, rest, last_ns)
 
 
 def _with(events: Events, kind: str, t_ns: int) -> Events:

@@ -78,9 +78,8 @@ def cut_at(frames: Sequence[Frame]) -> tuple[float, float] | None:
     farthest = max((float(r.max(initial=0.0)) for r in readings), default=0.0)
     shares = [float(np.mean(r == np.float32(farthest))) for r in readings if len(r)]
     reached = [share for share in shares if share]
-    if len(reached) < 3 or float(np.median(reached)) < LEAST_CUT:
-        return None
-    return farthest, float(np.median(reached))
+    share = float(np.median(reached)) if len(reached) >= 3 else 0.0
+    return (farthest, share) if share >= LEAST_CUT else None
 
 
 def factor_by_motion(pairs: Sequence[MovedPair]) -> float | None:

@@ -333,8 +333,8 @@ def event_of(text: str, log_ns: int) -> Event:
     t_ns, unit = _in_ns(t_ns, log_ns)
     kind = value[EVENT_KEY].strip().lower()
     fields = {k: v for k, v in value.items() if k not in (EVENT_KEY, TIME_KEY)}
-    inner = [v for v in fields.values() if isinstance(v, dict)]
     if not any(key in fields for key in LABEL_KEYS):  # a state machine's result, one level down
+        inner = [v for v in fields.values() if isinstance(v, dict)]
         fields |= {key: v[key] for v in inner for key in LABEL_KEYS if key in v}
     if kind not in EVENT_KINDS and label_of(kind) is not None:
         kind, fields = LABEL_EVENT, {LABEL_KEY: kind, **fields}

@@ -37,14 +37,8 @@ from dgeval.robots.recognition import known_hand
 
 # names of the robot's base in common descriptions, in order of preference
 BASE_NAMES = ("base_link", "base", "robot_base", "panda_link0", "iiwa_link_0", "base_footprint")
-TAGS = (
-    "tag",
-    "apriltag",
-    "marker",
-    "aruco",
-    "charuco",
-    "object",
-)  # in names of frames that may move; ours
+# words in the names of frames that may be on a thing that moves; ours
+TAGS = ("tag", "apriltag", "marker", "aruco", "charuco", "object")
 ODOMETRY = "odom"  # where the body of a robot is the top of its tree
 SAME_POSE = 0.005  # m and parts of a quaternion; transforms that differ by less are one; ours
 ONE_OF_THEM = "the last counts; record one of them"

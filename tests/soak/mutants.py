@@ -2122,8 +2122,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/depth_unit.py",
-        "if len(reached) < 3 or float(np.median(reached)) < LEAST_CUT:",
-        "if len(reached) < 3:",
+        "if share >= LEAST_CUT else None",
+        "if share else None",
         "tests/recording/test_eighth_strangers.py::test_the_farthest_reading_alone_is_no_cut",
     ),
     Mutant(
