@@ -9,7 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgeval.failure_rule import Outcome, OutcomeSource, Unknown, outcome_without_close
+from dgeval.failure_rule import (
+    NEAR_M,
+    Outcome,
+    OutcomeSource,
+    Unknown,
+    outcome_without_close,
+)
 from dgeval.geometry import Array, transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
@@ -149,7 +155,49 @@ def _without_close(log: TrialLog, hindsight: Hindsight | None) -> Ended:
         return Ended("unknown", None, why + "known; an operator's word is: --label success|failure")
     if outcome == "unknown":
         return Ended(outcome, None, why)
+    if outcome == "failure" and (doubt := _doubt_without_close(log, hindsight)):
+        return Ended("unknown", None, f"{why}, but {doubt}")
     return Ended(outcome, "inferred", why, 0.0 if outcome == "failure" else None)
+
+
+def _doubt_without_close(log: TrialLog, hindsight: Hindsight | None) -> str:
+    """In words, why fingers that never closed may have, with what tells; "" where nothing says so.
+
+    A log that begins with the hand at the object may begin after the close. A palm that comes near
+    and rises again has gripped, or given up: fingers whose states never change tell neither.
+    """
+    if hindsight is not None:
+        placed = transform(hindsight.path.at(log.first_ns), hindsight.points)
+        near = hand_distance(log.robot, log.first_ns, placed)
+        if near is not None and near[0] < NEAR_M:
+            return (
+                "it is so from the first frame on: does the log begin after the close? Record the "
+                "approach, or an operator's word is: --label success|failure"
+            )
+    if not _same_throughout(log):
+        return ""
+    times = range(log.first_ns, log.last_ns + 1, POSE_STEP_NS)
+    heights = [float(T[2, 3]) for t in times if (T := log.robot.T_base_palm(t)) is not None]
+    lowest = int(np.argmin(heights)) if heights else 0
+    if not heights or max(heights[lowest:]) - heights[lowest] <= CARRIED_M:
+        return ""
+    return (
+        "then it rises, and the states of its fingers are the same to the last digit throughout: "
+        "does their driver hang? If it closed: --close TIME; if not: --label failure"
+    )
+
+
+def _same_throughout(log: TrialLog) -> bool:
+    """Whether positions and efforts of all finger joints stay the same, to the last digit."""
+    hand = _hand_of(log)
+    if hand is None or len(log.hand_samples) < LEAST_AFTER:
+        return False
+    first = log.hand_samples[0]
+    return all(
+        s.positions.get(n) == first.positions.get(n) and s.efforts.get(n) == first.efforts.get(n)
+        for s in log.hand_samples
+        for n in hand.joints
+    )
 
 
 def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
@@ -193,12 +241,16 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
     return None
 
 
+def _hand_of(log: TrialLog) -> Hand | DescribedHand | None:
+    """The hand by its description; None without one, where names of joints tell no hand."""
+    return log.robot.hand if log.robot.description is not None else None
+
+
 def _is_stuck(log: TrialLog) -> bool:
     """Whether all finger joints stay the same from the close on, to the last digit: their driver
     hangs, or the hand did not move.
     """
-    robot, close_ns = log.robot, log.close_ns
-    hand = robot.hand if robot.description is not None else None
+    hand, close_ns = _hand_of(log), log.close_ns
     if hand is None or close_ns is None:
         return False
     before = [s for s in log.hand_samples if s.t_ns <= close_ns]

@@ -2276,6 +2276,24 @@ MUTANTS = [
         "None",
         "tests/recording/test_eighth_strangers.py::test_a_xacro_is_named_as_one",
     ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        '        if near is not None and near[0] < NEAR_M:\n            return (\n                "it is so',
+        '        if near is not None and near[0] < 0:\n            return (\n                "it is so',
+        "tests/verdict/test_outcome.py::test_a_log_that_begins_at_the_object_may_begin_after_the_close",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        "max(heights[lowest:]) - heights[lowest] <= CARRIED_M",
+        "max(heights[lowest:]) - heights[lowest] <= 10.0",
+        "tests/verdict/test_outcome.py::test_fingers_that_nothing_is_heard_of_never_closed_by_no_proof",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        " and s.efforts.get(n) == first.efforts.get(n)\n",
+        "\n",
+        "tests/verdict/test_outcome.py::test_fingers_that_nothing_is_heard_of_never_closed_by_no_proof",
+    ),
 ]
 
 

@@ -79,6 +79,8 @@ def trial(
         robot=SimpleNamespace(
             samples=tuple(joints),
             T_base_palm=T_base_palm,
+            hand_shapes=lambda t_ns: None,
+            T_base_camera=lambda t_ns: None,
             description=None,
             joints=SimpleNamespace(times={}, values={}),
         ),
@@ -173,7 +175,8 @@ END = Event(at(4.0), "trial_end", {})
 
 def near_to(nearest_m: float | None) -> Any:
     """Hindsight of a trial in which the hand came so near, m."""
-    return SimpleNamespace(nearest_m=nearest_m)
+    path = SimpleNamespace(at=lambda t_ns: np.eye(4))
+    return SimpleNamespace(nearest_m=nearest_m, path=path, points=np.zeros((1, 3)))
 
 
 @pytest.mark.parametrize(("nearest_m", "told"), [(0.079, "failure"), (0.081, "no_grasp")])
@@ -183,6 +186,48 @@ def test_near_and_never_closed_is_a_failure(nearest_m: float, told: str) -> None
     assert (found.outcome, found.source) == (told, "inferred")
     assert found.p_success == (0.0 if told == "failure" else None)
     assert outcome(trial([END], closed=False), near_to(nearest_m)) == found
+
+
+@pytest.mark.parametrize(("first_m", "told"), [(0.079, "unknown"), (0.081, "failure")])
+def test_a_log_that_begins_at_the_object_may_begin_after_the_close(
+    monkeypatch: pytest.MonkeyPatch, first_m: float, told: str
+) -> None:
+    """Fails where a recorder that starts late makes "never closed" of a close before it."""
+    monkeypatch.setattr(f"{OUTCOME}.hand_distance", lambda *of: (first_m, "index"))
+    found = outcome(trial(closed=False), near_to(0.01))
+    assert found.outcome == told
+    assert ("does the log begin after the close?" in found.evidence) == (told == "unknown")
+
+
+@pytest.mark.parametrize(
+    ("rises", "what", "told"),
+    [
+        (0.1, "nothing", "unknown"),
+        (0.0, "nothing", "failure"),
+        (0.1, "position", "failure"),
+        (0.1, "effort", "failure"),
+    ],
+)
+def test_fingers_that_nothing_is_heard_of_never_closed_by_no_proof(
+    rises: float, what: str, told: str
+) -> None:
+    """Fails where a driver that hangs, and repeats its first states, makes a failure "never closed"
+    of a success: the palm came near and rose.
+    """
+    states = [
+        JointSample(
+            at(-2 + 0.02 * k),
+            {"index": 0.5 + (k == 40 and what == "position") * 1e-9},
+            {"index": 0.1 + (k == 40 and what == "effort") * 1e-9},
+        )
+        for k in range(300)
+    ]
+    made = trial(joints=states, closed=False, palm_speed=rises)
+    made.robot.description = SimpleNamespace()
+    made.robot.hand = SimpleNamespace(joints=("index",))
+    found = outcome(made, near_to(0.01))
+    assert found.outcome == told
+    assert ("does their driver hang?" in found.evidence) == (told == "unknown")
 
 
 @pytest.mark.parametrize("hindsight", [None, near_to(None)])
@@ -571,7 +616,7 @@ def test_a_log_that_ends_while_the_hand_comes_nearer_has_not_ended(
 ) -> None:
     """Fails where a recorder that stops before the close makes a failure of every success."""
     made = trial(closed=False, ended=ended, palm_speed=speed)
-    found = outcome(made, SimpleNamespace(nearest_m=0.05))
+    found = outcome(made, near_to(0.05))
     cut = not ended and speed > 0
     assert found.outcome == ("unknown" if cut else "failure")
     assert ("no trial_end is marked" in found.evidence) == cut
@@ -579,7 +624,7 @@ def test_a_log_that_ends_while_the_hand_comes_nearer_has_not_ended(
         stamps = [START, at(4.0 + after_s)]
         made.scan.times["/colour"] = TopicTimes(stamps, stamps)
         if cut:
-            assert outcome(made, SimpleNamespace(nearest_m=0.05)).outcome == told
+            assert outcome(made, near_to(0.05)).outcome == told
 
 
 @pytest.mark.parametrize("values", [(1.0, 0.0), (0.0, 800.0)])
