@@ -2278,8 +2278,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/verdict/outcome.py",
-        '        if near is not None and near[0] < NEAR_M:\n            return (\n                "it is so',
-        '        if near is not None and near[0] < 0:\n            return (\n                "it is so',
+        "        if near is not None and near[0] < NEAR_M:",
+        "        if near is not None and near[0] < 0:",
         "tests/verdict/test_outcome.py::test_a_log_that_begins_at_the_object_may_begin_after_the_close",
     ),
     Mutant(
