@@ -116,6 +116,22 @@ class HandConfig(Section):
     close_s: float | None = Field(
         None, gt=0, le=3.0, description="s in which it closes where the trial shows no close"
     )
+    centre: tuple[float, float, float] | None = Field(
+        None,
+        description="m, palm's frame: where held objects are; default: where the fingertips meet",
+    )
+    approach: tuple[float, float, float] | None = Field(
+        None,
+        description="direction, palm's frame, in which it comes to an object; default: from the "
+        "palm to the centre, across the way that two fingertips close",
+    )
+
+    @field_validator("approach")
+    @classmethod
+    def _is_a_direction(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if value is not None and not any(value):
+            raise ValueError("three zeros are no direction")
+        return value
 
 
 class SyncConfig(Section):

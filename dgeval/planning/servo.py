@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgeval.config import ServoConfig
-from dgeval.geometry import Array, invert, rotation_angle, rotation_vector
+from dgeval.geometry import Array, rotation_angle, rotation_vector
 from dgeval.robots.hand import Hand
 
 GAP_NS = 100_000_000  # ns without a control period, over which the error's difference is none; ours
@@ -61,9 +61,7 @@ class Servo:
 
     def __init__(self, config: ServoConfig, hand: Hand) -> None:
         self.config = config
-        self._along_fingers = invert(hand.T_hand_palm)[
-            :3, 2
-        ]  # unit vector, palm frame: z of the hand's base
+        self._approach = hand.T_hand_palm[:3, :3].T @ hand.approach  # palm frame
         self.reset()
 
     def reset(self) -> None:
@@ -93,7 +91,7 @@ class Servo:
         R = T_base_grasp[:3, :3] @ T_base_palm[:3, :3].T
         r_G = rotation_vector(R)
         distance = float(np.linalg.norm(t_G))
-        axis = T_base_grasp[:3, :3] @ self._along_fingers
+        axis = T_base_grasp[:3, :3] @ self._approach
         if t_G @ axis > 0:
             t_G = t_G + c.beyond_m * axis
         r = (

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from dgeval.config import Config
+from dgeval.geometry import Array, invert, transform
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
 from dgeval.robots.described_hand import DescribedHand
@@ -71,11 +72,19 @@ def found_config(path: Path, config: Config) -> str:
             "# where the fingers go at a close that the trial does not show: the joints' limits",
             f"# closed = {{ {listed} }}",
             f"# close_s = {hand.close_s:g}",
+            "# where held objects are, m, and how the hand comes to them, in the palm's frame",
+            f"# centre = {_listed(transform(invert(hand.T_hand_palm), hand.centre[None])[0])}",
+            f"# approach = {_listed(hand.T_hand_palm[:3, :3].T @ hand.approach)}",
         ]
     if trial.checks:
         names = json.dumps(sorted({c.name for c in trial.checks}))
         lines += ["", "[checks]", *(f"# {check}" for check in trial.checks), f"# accept = {names}"]
     return "\n".join(lines) + "\n"
+
+
+def _listed(values: Array) -> str:
+    """(n,) as a TOML array, to a tenth of a millimetre; no negative zeros."""
+    return json.dumps([round(value, 4) + 0.0 for value in values.tolist()])
 
 
 def _text(value: str | None) -> str:

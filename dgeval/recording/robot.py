@@ -161,7 +161,9 @@ class RobotStates:
             return f"where the palm's frame {frame!r} is on {links.base!r} is not recorded"
         at = np.array(start, dtype=np.float64)
         close_s = CLOSE_S if given.close_s is None else given.close_s
-        return described_hand(description, links, T, at, given.closed, close_s)
+        centre = None if given.centre is None else np.array(given.centre)
+        approach = None if given.approach is None else np.array(given.approach)
+        return described_hand(description, links, T, at, given.closed, close_s, centre, approach)
 
     @property
     def hand(self) -> Hand | None:
@@ -274,7 +276,15 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
             joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)
             notes.append(renamed)
         notes.extend(description.notes)
-        notes.extend(note for note in known_hand(description)[1:] if note)
+        known_one, other = known_hand(description)
+        if other:
+            notes.append(other)
+        given = [f"hand.{key}" for key in sorted(config.hand.model_dump(exclude_defaults=True))]
+        if known_one is not None and given:
+            notes.append(
+                f"{', '.join(given)}: for hands that dgeval knows by their description alone; this "
+                f"one is {known_one.name}, whose own count"
+            )
         described = TransformTree(max_gap_ns)
         _add_joints(described, description, joints, max_gap_ns)
         times = sorted({t for listed in joints.times.values() for t in listed})

@@ -18,7 +18,7 @@ from dgeval.robots.hand_solids import surface_points
 
 PANEL = 420  # px, of each of the four pictures
 MARGIN, CAPTION = 40, 34  # px
-BAR_M = 0.05  # m, of the scale's bar
+BAR_M, ARROW_M = 0.05, 0.03  # m, of the scale's bar, and of the arrow of the approach
 PALM, FINGER, EDGE = (196, 196, 200), (214, 170, 120), (90, 90, 90)  # BGR
 CENTRE, TIP = (40, 40, 220), (60, 150, 60)
 WHITE = (255, 255, 255)
@@ -82,7 +82,8 @@ def _panel(
         cv2.polylines(panel, [outline], True, EDGE, 1, cv2.LINE_AA)
     for tip in hand.geometry.tips_at(positions):
         cv2.circle(panel, pixels(tip[None])[0].tolist(), 4, TIP, -1, cv2.LINE_AA)
-    at = pixels(hand.centre[None])[0].tolist()
+    at, ahead = pixels(np.array([hand.centre, hand.centre + ARROW_M * hand.approach])).tolist()
+    cv2.arrowedLine(panel, at, ahead, CENTRE, 2, cv2.LINE_AA, tipLength=0.25)
     cv2.drawMarker(panel, at, CENTRE, cv2.MARKER_CROSS, 18, 2, cv2.LINE_AA)
     end = 10 + round(BAR_M * scale)
     cv2.line(panel, (10, PANEL - 12), (end, PANEL - 12), EDGE, 2)

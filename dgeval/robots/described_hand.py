@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from dgeval.geometry import Array
+from dgeval.geometry import Array, transform
 from dgeval.robots.description import Description, Joint
 from dgeval.robots.hand import LIFT_AFTER_S, Hand
 from dgeval.robots.hand_geometry import HandGeometry
@@ -89,12 +89,15 @@ def described_hand(
     open_positions: Array,
     closed: Mapping[str, float] = MappingProxyType({}),
     close_s: float = CLOSE_S,
+    centre: Array | None = None,
+    approach: Array | None = None,
 ) -> DescribedHand:
     """The hand of some links of a description; without solids it gets capsules.
 
     T_base_palm (4, 4): the frame of grasps. open_positions (k,): of the joints, rad or m, before
     the close, in the order of `HandLinks.joints`. closed: positions of the closed hand that a user
-    names, by joint. close_s: s, in which it closes.
+    names, by joint. close_s: s, in which it closes. centre (3,) m, approach (3,): as in `Hand`, in
+    the frame of grasps, where a user names them.
     """
     members = [link for finger in links.fingers for link in finger]
     without_solids = not any(description.shapes.get(link) for link in members)
@@ -107,6 +110,9 @@ def described_hand(
         description = replace(description, shapes={**description.shapes, **capsules})
     opened = np.asarray(open_positions, dtype=np.float64)
     geometry = HandGeometry(description, links, opened, tuple(closed.items()))
+    meets = geometry.meeting(geometry.closed)
+    at = meets if centre is None else transform(T_base_palm, centre[None])[0]
+    along = geometry.ahead(at) if approach is None else T_base_palm[:3, :3] @ approach
     slides = sum(joint.kind == "prismatic" for joint in geometry.joints)
 
     def add(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> None:
@@ -118,7 +124,8 @@ def described_hand(
         drives=geometry.names,
         fingers=tuple(_finger_name(finger) for finger in links.fingers),
         T_hand_palm=T_base_palm,
-        centre=geometry.meeting(geometry.closed),
+        centre=at,
+        approach=along / np.linalg.norm(along),
         close_s=close_s,
         lift_after_s=max(LIFT_AFTER_S, close_s),
         positions=np.copy,

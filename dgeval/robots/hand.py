@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Literal
 
@@ -67,12 +67,13 @@ class Hand:
     solids.
 
     T_hand_palm: the frame of grasps in the base frame. centre (3,) m: where held objects are, base
-    frame. close_s: s from the command until the hand has closed. targets: drives at a time, s,
-    after the close command, from those before it. positions: all joints from the drives.
-    mismatch_sd, rad or m: standard deviation between where closing fingers come to rest in physics
-    and in a log. add: puts the hand into a spec below a body; geoms have contype 2 and conaffinity
-    1 and are named "<finger>_<…>". grip: None where fingers alone don't tell. lift_after_s: s from
-    the close command until the palm rises.
+    frame. approach (3,): unit vector in which the hand comes to an object, base frame. close_s: s
+    from the command until the hand has closed. targets: drives at a time, s, after the close
+    command, from those before it. positions: all joints from the drives. mismatch_sd, rad or m:
+    standard deviation between where closing fingers come to rest in physics and in a log. add: puts
+    the hand into a spec below a body; geoms have contype 2 and conaffinity 1 and are named
+    "<finger>_<…>". grip: None where fingers alone don't tell. lift_after_s: s from the close
+    command until the palm rises.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Hand:
     mismatch_sd: float
     add: Callable[[mujoco.MjSpec, mujoco.MjsBody], None]
     lift_after_s: float = LIFT_AFTER_S
+    approach: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
     @property
     def told(self) -> str:

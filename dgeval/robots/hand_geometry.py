@@ -21,6 +21,7 @@ STEPS = 21  # postures from open to closed, at which the fingertips are compared
 FIRST_SHARE = 0.1
 NEARER_M = 1e-4  # m, by which the fingertips must come nearer; ours
 LEAST_LEVER_M = 0.01
+LEAST_WAY_M = 1e-9  # m; points nearer than this are one
 BAR = 0.75  # share of the longest finger's reach, that a finger has at least; ours
 
 
@@ -214,6 +215,19 @@ class HandGeometry:
         away = middle - self.palm
         length = float(np.linalg.norm(away))
         return np.asarray(middle - away / max(length, 1e-9) * min(BEHIND_TIPS_M, length))
+
+    def ahead(self, centre: Array) -> Array:
+        """(3,) unit vector from the palm to the grasp's centre (3,) m; of two fingertips across the
+        way that they close. The base's z where they are one point.
+        """
+        way = centre - self.palm
+        tips = self.tips_at(self.open)
+        if len(tips) == 2:
+            closing = tips[1] - tips[0]
+            closing = closing / max(float(np.linalg.norm(closing)), LEAST_WAY_M)
+            way = way - closing * (closing @ way)
+        length = float(np.linalg.norm(way))
+        return way / length if length > LEAST_WAY_M else np.array([0.0, 0.0, 1.0])
 
     @cached_property
     def levers(self) -> Array:

@@ -5,6 +5,8 @@ The values are those of docs/papers.md, "Table V: parameters".
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from dgeval.config import (
@@ -509,6 +511,17 @@ def test_a_hand_sent_beyond_the_grasp_does_not_creep_up_to_it() -> None:
         command = Servo(config, FIVE_FINGERS).step(0, at(), grasp, None, np.zeros(3), np.zeros(3))
         np.testing.assert_allclose(command.twist[:3], expected * ahead, atol=1e-12)
         assert command.error_linear == pytest.approx(0.004)  # the error stays that to the grasp
+
+
+def test_beyond_the_grasp_is_along_the_hands_own_approach() -> None:
+    """Fails where z of any hand's base is taken for the way along its fingers."""
+    hand = replace(FIVE_FINGERS, approach=np.array([0.6, 0.0, 0.8]))
+    ahead = T_hand_palm[:3, :3].T @ hand.approach
+    grasp = at()
+    grasp[:3, 3] = 0.004 * ahead
+    servo = Servo(ServoConfig(beyond_m=0.012), hand)
+    command = servo.step(0, at(), grasp, None, np.zeros(3), np.zeros(3))
+    np.testing.assert_allclose(command.twist[:3], 0.016 * ahead, atol=1e-12)
 
 
 @pytest.mark.parametrize(

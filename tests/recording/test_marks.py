@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from dgeval.config import Config, load_config
+from dgeval.errors import UsageError
 from dgeval.recording.clocks import recorder_clock
 from dgeval.recording.contract import CLOSE_EVENT, LABEL_EVENT
 from dgeval.recording.found_config import found_config
@@ -208,3 +209,14 @@ def test_the_configuration_that_was_found_changes_nothing(tmp_path: Path, demo: 
     assert a.roles == b.roles
     assert (a.robot.base_frame, a.robot.palm_frame) == (b.robot.base_frame, b.robot.palm_frame)
     assert a.notes == b.notes
+
+
+def test_what_is_said_of_a_hand_that_is_known_is_told_to_count_for_nothing(demo: Path) -> None:
+    """Fails where a setting is left out without a word."""
+    config = load_config("dynamic", ("hand.centre=[0,0,0.1]", "hand.close_s=0.4"))
+    (spec,) = find_trials([demo.parent / "ci-smoke" / "mug-040-0003.mcap"])
+    told = [note for note in open_trial(spec, config).robot.notes if "whose own count" in note]
+    assert len(told) == 1
+    assert told[0].startswith("hand.centre, hand.close_s: ")
+    with pytest.raises(UsageError, match="no direction"):
+        load_config("dynamic", ("hand.approach=[0,0,0]",))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dgeval.geometry import Array
+from dgeval.geometry import Array, increment
 from dgeval.robots.described_hand import DescribedHand, described_hand
 from dgeval.robots.hand import KnownHand, hands
 from dgeval.robots.hand_links import HandLinks, hand_links
@@ -51,6 +51,25 @@ def test_a_closed_hand_that_is_given_goes_before_the_limits() -> None:
     assert (hand.closing_source, hand.close_s) == ("set", 0.2)
 
 
+def test_two_jaws_come_to_an_object_across_the_way_that_they_close() -> None:
+    """Fails where a palm whose solids lie to one side tilts the approach into the closing way."""
+    one_sided = {**PADS, "hand": box("0.02 0.04 0.06", "0 0.01 0.03")}
+    hand = made(robot(GRIPPER, one_sided), "hand", {"jaw": 0.04, "other_jaw": 0.04})
+    assert hand.approach == pytest.approx([0, 0, 1], abs=1e-9)
+
+
+def test_a_users_centre_and_approach_are_in_the_palms_frame() -> None:
+    """Fails where they are taken in the frame of the base, or the direction's length counts."""
+    description = load_description(robot(GRIPPER, PADS), "a test", (), 0.01)
+    links = hand_links(description, "hand", {"jaw"})
+    assert isinstance(links, HandLinks)
+    T = increment(np.array([0.0, 0.0, 0.05, 0.0, np.pi / 2, 0.0]))  # the palm's x points to base -z
+    at, along = np.array([0.0, 0.0, 0.03]), np.array([-2.0, 0.0, 0.0])
+    hand = described_hand(description, links, T, np.full(2, 0.04), centre=at, approach=along)
+    assert hand.centre == pytest.approx([0.03, 0.0, 0.05])
+    assert hand.approach == pytest.approx([0.0, 0.0, 1.0])
+
+
 def test_an_axis_that_points_the_other_way_closes_the_other_way() -> None:
     turned = [
         *GRIPPER[:5],
@@ -80,6 +99,8 @@ def test_a_known_hands_grasp_centre_follows_from_its_description(hand: KnownHand
     found = made(robot_urdf(hand.T_hand_camera, hand), "hand_base", at)
     assert set(found.joints) == set(hand.joints)
     assert found.centre == pytest.approx(hand.centre, abs=0.01)
+    turned = np.degrees(np.arccos(found.approach @ hand.approach))
+    assert turned < 22  # the five-finger hand's thumb stands beside its palm
 
 
 def test_links_without_any_solid_become_capsules() -> None:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from dgeval.cli import app
-from dgeval.config import Config, HandConfig
+from dgeval.config import Config, HandConfig, load_config
 from dgeval.errors import UsageError
 from dgeval.geometry import invert, transform
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import OWN_PREFIXES
+from dgeval.recording.found_config import found_config
 from dgeval.recording.trials import find_trials, open_trial
 from dgeval.robots.described_hand import DescribedHand
 from dgeval.robots.hand_links import hand_links
@@ -198,6 +200,14 @@ def test_a_strangers_log_tells_nothing(tmp_path: Path, jaw: Path) -> None:
     assert "'nowhere' is not in the description" in str(found["{'root': 'nowhere'}"])
     assert "the hand's joints are jaw, other_jaw" in str(found["{'closed': {'thumb': 1.0}}"])
     assert isinstance(found["{'root': 'tcp'}"], DescribedHand)  # fixed to the palm: the same hand
+    # what is written as found, with its comments taken off, leads to the same hand
+    text = found_config(recording, Config())
+    file = tmp_path / "robot.toml"
+    file.write_text(re.sub(r"(?m)^# (?=(centre|approach|closed|close_s) = )", "", text))
+    given = open_trial(find_trials([recording])[0], load_config(str(file), ())).robot.hand
+    assert isinstance(given, DescribedHand)
+    assert given.centre == pytest.approx(trial.robot.hand.centre, abs=1e-4)
+    assert given.approach == pytest.approx(trial.robot.hand.approach, abs=1e-3)
     again = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "again"), "--jobs", "2"])
     sha = [json.loads(r.stdout)["trials"][0]["recording"]["sha256"] for r in (first, again)]
     assert sha[0] == sha[1]

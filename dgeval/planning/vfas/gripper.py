@@ -84,8 +84,7 @@ def _grasp_frame(hand: DescribedHand, tips: Array) -> Array:
     """(4, 4) in the hand's base: at the grasp's centre, across the fingertips (2, 3) m."""
     T = np.eye(4)
     closing = (tips[1] - tips[0]) / max(float(np.linalg.norm(tips[1] - tips[0])), 1e-9)
-    ahead = hand.centre - hand.geometry.palm
-    ahead = ahead - closing * (closing @ ahead)
+    ahead = hand.approach - closing * (closing @ hand.approach)
     approach = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     T[:3, :3] = np.stack([closing, np.cross(approach, closing), approach], axis=1)
     T[:3, 3] = hand.centre
