@@ -7,8 +7,9 @@ without a lift after it are no proof of a grasp.
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,13 +35,14 @@ SETTLED_S, REOPENED, BEGINS = (1.0, 1.5), 0.6, 0.1
 RISING_M = 0.005  # m, from which on it is rising
 OVER_NOISE = 3.0  # standard deviations, by which a motion of the fingers stands out; ours
 MOST_HALF = 25  # samples on each side, over which fingers are smoothed at most; ours
+MOST_GAP_NS = 500_000_000  # ns between states, in which a close can't be placed; ours
 SEEN = 0.9  # share of the trial in which the fingers must be known, to say that they never closed
 
 
 @dataclass(frozen=True)
 class Inferred:
-    """Close, when the fingers come to rest, and lift, ns, and the period of the joint states, s;
-    closes of earlier attempts, ns.
+    """Close, when the fingers come to rest, and lift, ns, and how far the fingers' states are apart
+    at the close, s; closes of earlier attempts, ns.
     """
 
     close_ns: int
@@ -91,9 +93,15 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
         if lift is not None and is_new and lift - start >= BEFORE_LIFT_NS:
             attempts.append((start, end, lift))
     if attempts:
-        period = float(np.median(np.diff(times))) * 1e-9
+        start, rest, _ = attempts[0]
+        before, after = _apart(robot, tips, start, rest)
+        if after - before > MOST_GAP_NS:
+            a, b = ((t - first_ns) * 1e-9 for t in (before, after))
+            why = f"; fingers close between {a:+.2f} and {b:+.2f} s, where no states are recorded"
+            return NoClose(why, False, before)
         earlier = tuple(start for start, *_ in attempts[:0:-1])
-        return Inferred(*attempts[0], period, earlier)
+        before, after = _apart(robot, tips, start, start)
+        return Inferred(*attempts[0], (after - before) * 1e-9, earlier)
     at = (motions[-1][0] - first_ns) * 1e-9
     rises = lift_after(robot, *motions[-1], last_ns) is not None
     why = f"; fingers close at {at:+.2f} s, but " + (
@@ -102,6 +110,28 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
         else "the palm does not rise after it"
     )
     return NoClose(why, seen, motions[-1][0])
+
+
+def _apart(
+    robot: RobotStates, tips: tuple[str, ...], start_ns: int, end_ns: int
+) -> tuple[int, int]:
+    """Two recorded states of the fingers, one after the other, ns, that are farthest apart of those
+    from just before a time to just after another; the first time twice where none are recorded.
+    """
+    tree, links = robot.tree, set(robot.hand_links)
+    joints = robot.description.joints if robot.description else {}
+    pairs = [(start_ns, start_ns)]
+    for link in {above for tip in tips for above in tree.ancestors(tip) if above in links}:
+        times: list[int] = []
+        if link in tree.moving:
+            times = tree.moving[link][1].times
+        elif link in joints:
+            known = robot.joints.times
+            times = known.get(joints[link].name) or known.get(joints[link].follows, [])
+        first = max(bisect_right(times, start_ns) - 1, 0)
+        around = times[first : bisect_left(times, end_ns + 1) + 1]
+        pairs.extend(pairwise(around))
+    return max(pairs, key=lambda pair: pair[1] - pair[0])
 
 
 def opens_after(robot: RobotStates, t_ns: int, last_ns: int) -> bool:

@@ -23,6 +23,7 @@ from dgeval.recording.contract import (
 VIDEO_TYPES = frozenset(
     {"foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"}
 )
+LOG_LINES = ("message", "msg", "text")  # a log's words: in Foxglove's line, in ROS's, in others
 IMAGE_TYPES = VIDEO_TYPES | {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"}
 # the second is the older name of the same fields
 TF_TYPES = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
@@ -305,6 +306,33 @@ class Event:
     fields: dict[str, Any]
     is_log_time: bool = False
     unit: str = ""
+
+
+def event_text(message: Any) -> str:
+    """The text of an event: a String's, that of a line of a log, or an object's fields as JSON.
+
+    ValueError where a message is none of these.
+    """
+    data = getattr(message, "data", None)
+    if isinstance(data, str):
+        return data
+    fields = _fields(message)
+    if any(key in fields for key in (EVENT_KEY, *LABEL_KEYS)):
+        return json.dumps(fields, default=_fields)
+    for key in LOG_LINES:
+        if isinstance(fields.get(key), str):
+            return str(fields[key])
+    raise ValueError(
+        f"an event's message has no text, but {', '.join(sorted(fields)) or 'nothing'}"
+    )
+
+
+def _fields(message: Any) -> dict[str, Any]:
+    """The fields of a decoded message, by name."""
+    described = getattr(message, "DESCRIPTOR", None)  # protobuf's
+    if described is not None:
+        return {field.name: getattr(message, field.name) for field in described.fields}
+    return {k: v for k, v in getattr(message, "__dict__", {}).items() if not k.startswith("_")}
 
 
 def event_of(text: str, log_ns: int) -> Event:

@@ -57,6 +57,7 @@ from dgeval.recording.messages import (
     StampedPoses,
     camera_model,
     event_of,
+    event_text,
     header_stamp_ns,
     joints_of,
     poses_of,
@@ -263,14 +264,15 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                     frame_times[stream][message.log_ns] = t_ns
             elif topic.type == STREAM_POSE_TYPE and (stream_at := stream_of(message.topic)):
                 streams[stream_at] = pose_of_transform(opened.decode(message))
+            elif message.topic == wanted_events:
+                text = event_text(opened.decode(message))
+                try:
+                    out.events.append(event_of(text, message.log_ns))
+                except ValueError:
+                    out.not_events.append(text)
             elif topic.type == "std_msgs/msg/String":
                 text = opened.decode(message).data
-                if message.topic == wanted_events:
-                    try:
-                        out.events.append(event_of(text, message.log_ns))
-                    except ValueError:
-                        out.not_events.append(text)
-                elif message.topic.endswith(ROBOT_DESCRIPTION[1:]):
+                if message.topic.endswith(ROBOT_DESCRIPTION[1:]):
                     if out.descriptions.get(message.topic, text) != text:
                         out.description_changes.add(message.topic)
                     out.descriptions[message.topic] = text

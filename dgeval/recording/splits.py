@@ -63,6 +63,8 @@ def _follow(files: list[Path]) -> bool:
     """Whether each file begins within GAP_NS of the end of the one before, with the same topics.
 
     The first pair that doesn't ends the search: numbered trials are opened no further than that.
+    The last one holds nothing where the recorder was killed: it belongs to those before it if they
+    are several, or named after their folder as rosbag2 names them.
     """
     before: Opened | None = None
     end_ns = 0
@@ -71,9 +73,11 @@ def _follow(files: list[Path]) -> bool:
             opened = open_container(file)
             span = opened.span_ns()
         except UnreadableError:
-            return False
+            span = None
         if span is None:
-            return False
+            named = NUMBERED.fullmatch(file.name)
+            own = named is not None and named["stem"] == file.parent.name
+            return file == files[-1] and before is not None and (len(files) > 2 or own)
         if before is not None and (
             not before.topics.keys() & opened.topics.keys() or not 0 <= span[0] - end_ns < GAP_NS
         ):

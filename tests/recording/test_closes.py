@@ -21,8 +21,16 @@ S = 1_000_000_000
 LENGTH_S = 5.0
 
 
-def robot(monkeypatch: pytest.MonkeyPatch, width: list[Any], height: list[Any]) -> Any:
-    """A robot whose fingers and palm follow (time s, m) points, linear between them."""
+def robot(
+    monkeypatch: pytest.MonkeyPatch,
+    width: list[Any],
+    height: list[Any],
+    states_s: list[float] | None = None,
+) -> Any:
+    """A robot whose fingers and palm follow (time s, m) points, linear between them.
+
+    states_s: when a finger's state is recorded.
+    """
     times = np.arange(0, int(LENGTH_S * S) + 1, closing_motion.STEP_NS)
     apart = np.interp(times * 1e-9, *zip(*width, strict=True))
     monkeypatch.setattr(closing_motion, "_finger_ends", lambda _: ("a", "b"))
@@ -33,7 +41,13 @@ def robot(monkeypatch: pytest.MonkeyPatch, width: list[Any], height: list[Any]) 
         T[2, 3] = np.interp(t_ns * 1e-9, *zip(*height, strict=True))
         return T
 
-    return SimpleNamespace(T_base_palm=T_base_palm, description=None)
+    moving = {}
+    if states_s is not None:
+        moving["a"] = "palm", SimpleNamespace(times=[round(t * S) for t in states_s])
+    tree = SimpleNamespace(moving=moving, ancestors=lambda frame: [frame, "palm"])
+    return SimpleNamespace(
+        T_base_palm=T_base_palm, description=None, tree=tree, hand_links=("a", "b")
+    )
 
 
 def found(made: Any) -> tuple[float, float] | str:
@@ -58,6 +72,31 @@ def test_a_close_and_a_lift(monkeypatch: pytest.MonkeyPatch) -> None:
         [(0, LOW), (3, LOW), (3.8, HIGH), (5, HIGH)],
     )
     assert near(found(made), 2.0, 3.0)
+
+
+@pytest.mark.parametrize(("period_s", "told"), [(0.01, 0.01), (0.25, 0.25), (0.5, 0.5)])
+def test_a_close_is_as_uncertain_as_its_fingers_states(
+    monkeypatch: pytest.MonkeyPatch, period_s: float, told: float
+) -> None:
+    """Fails where states twice a second place a close to 0.03 s."""
+    way = [(0, OPEN), (2, OPEN), (2.5, SHUT), (5, SHUT)], [(0, LOW), (3, LOW), (3.8, HIGH)]
+    states = np.arange(0.003, LENGTH_S, period_s).tolist()
+    made = closing_motion.closing_motion(robot(monkeypatch, *way, states), 0, int(LENGTH_S * S))
+    assert isinstance(made, closing_motion.Inferred)
+    assert made.period_s == pytest.approx(told)
+
+
+@pytest.mark.parametrize("hole", [(1.9, 2.6), (2.2, 2.9)])
+def test_a_close_in_a_hole_of_the_states_is_not_placed(
+    monkeypatch: pytest.MonkeyPatch, hole: tuple[float, float]
+) -> None:
+    """Fails where a lost part of a recording puts the close at the hole's edge."""
+    way = [(0, OPEN), (2, OPEN), (2.5, SHUT), (5, SHUT)], [(0, LOW), (3, LOW), (3.8, HIGH)]
+    states = [t for t in np.arange(0.0, LENGTH_S, 0.01).tolist() if not hole[0] < t < hole[1]]
+    made = closing_motion.closing_motion(robot(monkeypatch, *way, states), 0, int(LENGTH_S * S))
+    assert isinstance(made, NoClose)
+    assert not made.fingers_seen
+    assert "where no states are recorded" in made.why
 
 
 def test_a_lift_right_behind_a_slow_close(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from dgeval.errors import UnreadableError
 from dgeval.recording.video import VideoDecoder, codec_of
-from tests.recording.recorders import COLOUR, Message, opened, write
+from rosbags.typesys import get_types_from_msg
+from tests.recording.recorders import COLOUR, STORE, TYPES, Message, contents, opened, write
 
 av = pytest.importorskip("av", reason="the extra dgeval[video] is not installed")
 
@@ -133,6 +134,30 @@ def as_video(messages: list[Message], gop: int, lost: int | None = None) -> list
         value.data = np.frombuffer(b"x" if k == lost else packet, np.uint8)
         out.append([*m[:3], value])
     return out
+
+
+VIDEO = "foxglove_msgs/msg/CompressedVideo"
+STORE.register(
+    get_types_from_msg(
+        "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format", VIDEO
+    )
+)
+
+
+def test_video_in_foxgloves_message_of_ros(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where its fields are asked for by the names of a CompressedImage's."""
+    as_image = as_video(messages, 15)
+    as_its_own = [
+        [*m[:2], VIDEO, TYPES[VIDEO](m[3].header.stamp, m[3].header.frame_id, m[3].data, "h264")]
+        if m[1] == COLOUR
+        else m
+        for m in as_image
+    ]
+    one, other = (
+        contents(opened(write(tmp_path / f"{name}.mcap", listed)), 20)
+        for name, listed in (("a", as_image), ("b", as_its_own))
+    )
+    assert one == other
 
 
 def test_a_recording_with_video(tmp_path: Path, messages: list[Message], demo: Path) -> None:

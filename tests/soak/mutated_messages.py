@@ -224,9 +224,7 @@ def container(listed: Listed, how: str) -> InMemory:
         if key == ("cdr", "") and kind.startswith("vision_msgs"):
             key, schema = ("cdr", "ros2msg"), STORE.generate_msgdef(kind, ros_version=2)[0].encode()
         if topic not in topics:
-            decode = decoders()[key](name, schema)
-            if foxglove.ros_type(name) != name:
-                decode = foxglove.adapted(name, decode)
+            decode = foxglove.adapted(name, decoders()[key](name, schema))
             topics[topic] = Topic(topic, foxglove.ros_type(name), encoding, None, decode)
         stored.append(RawMessage(topic, t, data))
     return InMemory(topics, stored)

@@ -219,7 +219,7 @@ class McapContainer:
             except Exception as error:
                 why = f"its definition can't be used ({describe(error)})"
         kind = foxglove.ros_type(name)
-        if decode is not None and kind != name:
+        if decode is not None:
             decode = foxglove.adapted(name, decode)
         if key == ("cdr", "") and decode is not None:
             self.notes.append(f"{channel.topic} has no definition: {name} is known by its name")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import zstandard
 
-from dgeval.errors import Place, UnreadableError, describe
+from dgeval.errors import Damage, Place, UnreadableError, describe
 from dgeval.recording.containers.container import (
     MCAP_MAGIC,
     SQLITE_MAGIC,
@@ -122,8 +122,22 @@ def missing_parts(folder: Path) -> list[str]:
 def _joined(path: Path, files: list[Path]) -> Container:
     from dgeval.recording.containers.parts import PartsContainer
 
-    opened = [_file(file) for file in files]
-    return opened[0] if len(opened) == 1 else PartsContainer(path, opened)
+    opened = [_file(file) for file in files[:1]]
+    for file in files[1:]:
+        try:
+            opened.append(_file(file))
+        except UnreadableError as error:
+            if file != files[-1]:
+                raise
+            # the recorder was killed when it had begun its last part
+            what = f"{file.name} can't be read ({error.what}): what it holds is missing"
+            opened[-1].damage.append(Damage(what, Place(str(file)), _end_ns(opened[-1])))
+    return opened[0] if len(files) == 1 else PartsContainer(path, opened)
+
+
+def _end_ns(part: Container) -> int | None:
+    """The last log time of a part, ns, where it tells without being read."""
+    return None if part.span_ns is None else part.span_ns[1]
 
 
 def _file(path: Path) -> Container:

@@ -65,7 +65,7 @@ class RosbagsContainer:
                 if stored not in store.fielddefs:
                     why = f"no definition of {stored} in the recording"
                     decode = partial(_unknown_type, why, Place(str(path), connection.topic))
-                elif foxglove.ros_type(stored) != stored:
+                else:
                     decode = foxglove.adapted(stored, decode)
                 before = self.topics.get(connection.topic)
                 count = connection.msgcount + (before.count or 0 if before else 0)

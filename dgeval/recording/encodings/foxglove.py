@@ -39,8 +39,13 @@ def ros_type(name: str) -> str:
 
 
 def adapted(name: str, decode: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
-    """A decoder of a Foxglove type, made to give the fields of the ROS 2 type."""
-    adapt = ADAPTERS[next(name[len(p) :] for p in PACKAGES if name.startswith(p))]
+    """A decoder of a Foxglove type, made to give the fields of the ROS 2 type; of other types the
+    decoder itself.
+    """
+    kind = next((name[len(p) :] for p in PACKAGES if name.startswith(p)), "")
+    adapt = ADAPTERS.get(kind)
+    if adapt is None:
+        return decode
 
     def decoded(data: bytes) -> Any:
         message = _in_snake_case(decode(data))
