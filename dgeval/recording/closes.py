@@ -44,6 +44,7 @@ STILL_FINGERS = ", and the fingers, whose joint states are recorded, never close
 # ns after the fingers' rest, from which a mark is late, and after the lift's begin, up to which it
 # is this close's; ours
 LATE_NS, UP_NS = 50_000_000, 1_000_000_000
+FAR_NS = 60_000_000_000  # ns from the images, from which on a mark's time is no time of the trial
 EARLY_NS = 600_000_000  # ns, that the fingers begin to close after their command at most; ours
 MENDS = "mark it with --close TIME, or close_ns in a manifest"
 
@@ -81,6 +82,14 @@ def close_of(
     By the first of these that tells: a person, an event, a gripper's command, the fingers' joints,
     a gripper's width. given_ns, lift_ns: what a person says. grippers: of the whole recording.
     """
+    far = [
+        e
+        for e in events
+        if e.kind in (CLOSE_EVENT, LIFT_EVENT)
+        and not first_ns - FAR_NS <= e.t_ns <= last_ns + FAR_NS
+    ]
+    # of another clock, or none: they can't be placed, and a check says so
+    events = Events(tuple(e for e in events if e not in far))
     found = closing_motion(robot, first_ns, last_ns)
     fingers_ns = None if isinstance(found, NoClose) else found.close_ns
     if lift_ns is not None:

@@ -17,9 +17,10 @@ from dgeval.recording.manifest import find_trials
 from dgeval.recording.messages import event_of, event_text
 from dgeval.recording.splits import split_recordings
 from dgeval.recording.trials import open_trial
+from dgeval.verdict.log import log_of
 from google.protobuf import struct_pb2
 from rosbags.typesys import get_types_from_msg
-from tests.recording.recorders import EVENTS, STORE, TYPES, Message, contents, opened, write
+from tests.recording.recorders import EVENTS, STORE, TYPES, Message, contents, names, opened, write
 
 GRASP_EVENT = "grasp_msgs/msg/GraspEvent"
 STORE.register(
@@ -138,3 +139,22 @@ def test_an_empty_file_behind_one_trial_is_no_part_of_it(
     between = [*parts(tmp_path / "run", messages, 3)]
     between[1].write_bytes(b"")
     assert split_recordings(between) == [(f,) for f in between]
+
+
+def test_events_whose_times_are_no_times_of_the_trial_place_no_close(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a converter that wrote every log time as 0 makes a search of 56 years."""
+    unplaced = copy.deepcopy(messages)
+    for m in unplaced:
+        m[0] = 0
+        if m[1] == EVENTS:
+            said = json.loads(m[3].data)
+            m[3].data = said.get("label") or said["event"]
+    trial = opened(write(tmp_path / "a.mcap", unplaced))
+    assert {"events", "stamps"} <= set(names(trial))
+    assert trial.close.source == "joints"
+    log = log_of(trial)
+    assert log.close_ns is not None
+    assert log.first_ns < log.close_ns < log.last_ns
+    assert log.label == "success"
