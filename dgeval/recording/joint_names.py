@@ -1,8 +1,10 @@
-"""Joint states whose names have a prefix that the description lacks, or the other way round."""
+"""Joint states and frames whose names have a prefix that the description lacks, or, of joints, the
+other way round.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 from dgeval.recording.messages import JointSample
@@ -36,6 +38,23 @@ def as_described(
     which = "the joint states" if more else "the description"
     others = "the description" if more else "the joint states"
     return renamed, f"{which} have joints called {prefix}…, {others} the same without: taken as one"
+
+
+def as_published(description: Description, frames: Collection[str]) -> tuple[Description, str]:
+    """The description with its links named as the frames of /tf and of the images, and a note; as
+    it is, and "", where no single prefix says which link is which.
+
+    A robot_state_publisher with a frame_prefix leaves the description's text as it is.
+    """
+    links = {name for j in description.joints.values() for name in (j.parent, j.child)}
+    one = _one_prefix(set(frames) - links, links - set(frames))
+    if one is None or len(one[1]) < max(LEAST, len(links & set(frames)) + 1):
+        return description, ""
+    prefix = one[0]
+    return description.with_prefix(prefix), (
+        f"the frames of /tf are called {prefix}…, the description's links the same without: taken "
+        "as one"
+    )
 
 
 def _one_prefix(longer: Iterable[str], shorter: Iterable[str]) -> tuple[str, list[str]] | None:

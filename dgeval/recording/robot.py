@@ -20,7 +20,7 @@ from dgeval.config import Config, HandConfig
 from dgeval.errors import Place, UsageError
 from dgeval.geometry import Array, matrix_from_pose
 from dgeval.recording.contract import ROBOT_DESCRIPTION
-from dgeval.recording.joint_names import as_described
+from dgeval.recording.joint_names import as_described, as_published
 from dgeval.recording.messages import JointSample
 from dgeval.recording.namespaces import Series, differ, holds, home_of, namespace_of, of_camera
 from dgeval.recording.palm import palm_of
@@ -271,6 +271,9 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
         notes.append(f"{', '.join(left)} are another robot's joint states and are not used")
     description = _description(scan, roles, joints, config, notes)
     if description is not None:
+        description, prefixed = as_published(description, tree.frames() | {camera})
+        if prefixed:
+            notes.append(prefixed)
         samples, renamed = as_described(samples, description)
         if renamed:
             joints = JointTrack.of(samples, config.clock.hand_joints.offset_ns)

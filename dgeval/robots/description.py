@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -92,6 +92,24 @@ class Description:
     mass_centres: dict[str, Array] = field(default_factory=dict)
     radius: float = 0.01
     outlines: dict[str, list[LinkShape]] = field(default_factory=dict)
+
+    def with_prefix(self, prefix: str) -> Description:
+        """The same with a prefix before the name of each link; joints keep theirs."""
+
+        def solids(listed: list[LinkShape]) -> list[LinkShape]:
+            return [replace(s, link=prefix + s.link) for s in listed]
+
+        joints = {
+            prefix + child: replace(j, parent=prefix + j.parent, child=prefix + j.child)
+            for child, j in self.joints.items()
+        }
+        return replace(
+            self,
+            joints=joints,
+            shapes={prefix + link: solids(listed) for link, listed in self.shapes.items()},
+            mass_centres={prefix + link: at for link, at in self.mass_centres.items()},
+            outlines={prefix + link: solids(listed) for link, listed in self.outlines.items()},
+        )
 
     def partings(self) -> list[str]:
         """The links at which two or more chains of movable joints part, in name order."""

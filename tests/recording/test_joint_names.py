@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dgeval.recording.joint_names import as_described
+from dgeval.recording.joint_names import as_described, as_published
 from dgeval.recording.messages import JointSample
+from dgeval.robots.description import Description
 from dgeval.robots.loading import load_description
 from tests.recording.recorders import JOINTS, Message, contents, opened, write
 from tests.robots.urdf_texts import GRIPPER, PADS, robot
@@ -72,3 +73,29 @@ def test_a_recording_whose_driver_has_a_prefix(
     assert any("robot1/" in note for note in trial.notes)
     assert trial.robot.hand is not None
     assert np.isfinite(trial.robot.joints.values[trial.robot.hand.joints[0]]).all()
+
+
+def links(description: Description) -> set[str]:
+    return {name for j in description.joints.values() for name in (j.parent, j.child)}
+
+
+@pytest.mark.parametrize("prefix", ["robot1/", "left_", "a.b."])
+def test_a_frame_prefix_is_the_descriptions_too(prefix: str) -> None:
+    """Fails where a robot_state_publisher's frame_prefix parts the description from /tf."""
+    published, note = as_published(DESCRIPTION, {prefix + link for link in links(DESCRIPTION)})
+    assert note.startswith(f"the frames of /tf are called {prefix}")
+    assert links(published) == {prefix + link for link in links(DESCRIPTION)}
+    assert {j.name for j in published.joints.values()} == {
+        j.name for j in DESCRIPTION.joints.values()
+    }
+    assert published.shapes.keys() == {prefix + link for link in DESCRIPTION.shapes}
+    assert all(s.link == link for link, listed in published.shapes.items() for s in listed)
+
+
+def test_frames_that_are_the_descriptions_own_get_no_prefix() -> None:
+    """Fails where a second robot of the same kind takes the description away from the first."""
+    own = links(DESCRIPTION)
+    for frames in (own, own | {f"other/{link}" for link in own}, {"camera_link"}, set()):
+        assert as_published(DESCRIPTION, frames) == (DESCRIPTION, "")
+    two = {f"{prefix}/{link}" for prefix in ("a", "b") for link in own}
+    assert as_published(DESCRIPTION, two)[1] == ""
