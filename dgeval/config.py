@@ -62,6 +62,9 @@ class ClockConfig(Section):
     camera_pose: RoleClock = RoleClock()
     hand_pose: RoleClock = RoleClock()
     hand_joints: RoleClock = RoleClock()
+    topics: dict[str, int] = Field(
+        {}, description="ns by topic of joint states or poses, added to every stamp of it"
+    )
 
 
 class FramesConfig(Section):

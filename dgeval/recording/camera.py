@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from dgeval.config import CalibrationConfig
 from dgeval.errors import Place, UnreadableError, UsageError
-from dgeval.geometry import Intrinsics, matrix_from_pose
+from dgeval.geometry import Array, Intrinsics, matrix_from_pose
 from dgeval.recording.alignment import Alignment
 from dgeval.recording.image_codecs.pixels import Pixels
 from dgeval.recording.images import depth_from
 from dgeval.recording.lens import Lens, lens_of
+from dgeval.recording.librealsense import DEPTH_TO_COLOUR
 from dgeval.recording.messages import CAMERA_INFO, CameraModel
 from dgeval.recording.roles import Roles, aligned
 from dgeval.recording.scan import ImageHead, Scan
@@ -130,6 +131,13 @@ def _stated_unit(scan: Scan, depth_topic: str) -> float | None:
     return unit if unit is not None and np.isfinite(unit) and unit > 0 else None
 
 
+def _by_the_driver(scan: Scan, depth_topic: str) -> Array | None:
+    """T_colour_depth as realsense-ros publishes it beside the pictures; None without."""
+    named = [n for n in sorted(scan.extrinsics) if n.endswith(DEPTH_TO_COLOUR)]
+    near = sorted(named, key=lambda n: -len(commonpath([n, depth_topic])))
+    return scan.extrinsics[near[0]] if near else None
+
+
 def _alignment(
     scan: Scan,
     colour_topic: str,
@@ -146,6 +154,8 @@ def _alignment(
         T = matrix_from_pose(np.array(config.T_colour_depth))
     elif c.frame_id and d.frame_id:
         T = tree.lookup(c.frame_id, d.frame_id, t_ns)
+    if T is None:
+        T = _by_the_driver(scan, depth_topic)
     model = scan.cameras.get(info_topic or "")
     missing = []
     if T is None:

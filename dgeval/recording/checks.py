@@ -6,6 +6,8 @@ the same ones. A check that a team knows of is accepted by name (`checks.accept`
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +50,7 @@ from dgeval.recording.stamp_checks import stamp_checks
 MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
 DRIFTS_S = 0.03  # s over a recording, that explain a scene that seems to move; ours
 BY_MOTION = ("depth_unit", "depth_offset", "intrinsics", "camera_poses", "clocks")  # checks by it
+SAME_S = 0.02  # s, within which topics have one clock; ours
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 # of topics that may hold an outcome: words in their names, and their types
 RESULT_WORDS = ("success", "result", "outcome", "failed", "failure", "grasped")
@@ -92,6 +95,9 @@ def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | N
     topic, apart = found
     if abs(apart) <= CLOCKS_TOLD_S:
         return None, _drift(scan, roles, clock, CLOCKS_TOLD_S)
+    odd = _odd_clocks(scan, roles, clock)
+    if odd:
+        return _of_robot(odd, clock, roles)
     side = "behind" if apart > 0 else "ahead of"
     what = f"the camera's stamps are {abs(apart):.2f} s {side} those of {topic}, by the recorder"
     mend = f"set clock.colour.offset_ns={round(apart * 1e9) + clock.colour.offset_ns}"
@@ -107,6 +113,72 @@ def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | N
     return Check("clocks", what, mend), ""
 
 
+def _odd_clocks(scan: Scan, roles: Roles, clock: ClockConfig) -> dict[str, float]:
+    """By topic of the robot whose clock is another one than the camera's and the recorder's, what
+    has to be added to its stamps, s; none where the camera's clock is the odd one, or may be.
+
+    Other topics of the robot agree with the camera; or the camera's delay to the recorder is one
+    that a transport has, and the robot's are not.
+    """
+    camera = _delay(scan, roles.colour, clock.colour.offset_ns)
+    if camera is None:
+        return {}
+    delays = {
+        topic: d
+        for topic, offset in sorted(_robot_topics(scan, roles, clock).items())
+        if (d := _delay(scan, topic, offset)) is not None
+    }
+    off = {t: d - camera for t, d in delays.items() if abs(d - camera) > CLOCKS_TOLD_S}
+    agree = len(off) < len(delays)
+    impossible = [t for t in off if not -CLOCKS_TOLD_S <= delays[t] <= MOST_CLOCKS_APART_S]
+    by_recorder = -CLOCKS_TOLD_S <= camera <= CLOCKS_TOLD_S and len(impossible) == len(off)
+    return off if agree or by_recorder else {}
+
+
+def _move_camera(topics: Iterable[str], scan: Scan, robot: RobotStates) -> bool:
+    """Whether one of the robot's topics tells where the camera is, so that the pictures can say
+    whether its stamps are right.
+    """
+    joints = robot.description.joints if robot.description is not None else {}
+    chain = robot.tree.ancestors(robot.camera_frame)
+    named = {name for f in chain if f in joints for name in (joints[f].name, joints[f].follows)}
+    return any(
+        topic not in scan.joints or any(named & s.positions.keys() for s in scan.joints[topic])
+        for topic in topics
+    )
+
+
+def _of_robot(odd: dict[str, float], clock: ClockConfig, roles: Roles) -> tuple[Check | None, str]:
+    """A check, or a note where a slow transport may be behind it, on clocks of the robot that are
+    not the camera's. odd: s, to be added to the stamps of each topic.
+    """
+    topic = max(odd, key=lambda t: abs(odd[t]))
+    side = "ahead of" if odd[topic] < 0 else "behind"
+    what = (
+        f"the stamps of {', '.join(odd)} are {abs(odd[topic]):.2f} s {side} those of the camera, "
+        "by the recorder"
+    )
+    joints = {t: s for t, s in odd.items() if t in roles.joints}
+    lines = []
+    if joints and len(joints) == len(roles.joints) and np.ptp(list(joints.values())) <= SAME_S:
+        ns = round(float(np.median(list(joints.values()))) * 1e9) + clock.hand_joints.offset_ns
+        lines.append(f"clock.hand_joints.offset_ns={ns}")
+    elif joints:
+        given = clock.topics | {
+            t: round(s * 1e9) + clock.topics.get(t, 0) for t, s in joints.items()
+        }
+        table = ", ".join(f"{json.dumps(t)} = {ns}" for t, ns in sorted(given.items()))
+        lines.append(f"--set 'clock.topics={{ {table} }}'")
+    others = [s for t, s in odd.items() if t not in joints]
+    if others:
+        ns = round(float(np.median(others)) * 1e9) + clock.camera_pose.offset_ns
+        lines.append(f"clock.camera_pose.offset_ns={ns}")
+    mend = " and ".join(line if line.startswith("--") else f"set {line}" for line in lines)
+    if 0 < odd[topic] <= MOST_CLOCKS_APART_S:
+        return None, f"{what}; if that is no delay of theirs: {mend}"
+    return Check("clocks", what, mend), ""
+
+
 def _delay(scan: Scan, topic: str | None, offset_ns: int) -> float | None:
     """Median log time less header time of a topic, s; None where its stamps are not kept."""
     if topic is None or topic not in scan.times:
@@ -114,6 +186,8 @@ def _delay(scan: Scan, topic: str | None, offset_ns: int) -> float | None:
     header, log = scan.times[topic].arrays()
     if len(header) != len(log) or not len(log) or not header.any():
         return None
+    if scan.recorder_clock is not None:  # which may run faster than that of the stamps
+        log = np.array([scan.recorder_clock.stamp_ns(t) for t in log.tolist()], dtype=np.int64)
     return float(np.median(log - header - offset_ns)) * 1e-9
 
 
@@ -171,7 +245,9 @@ def failed_checks(
     seen = approach if len(approach) >= SAMPLED else window.pairs
     clocks, note = clock_check(scan, roles, clock)
     apart = clocks_apart(scan, roles, clock)
-    if clocks is not None and apart is not None and stamps_fit(reader, seen, apart[1]):
+    odd = _odd_clocks(scan, roles, clock)
+    told = apart is not None and (not odd or _move_camera(odd, scan, robot))
+    if clocks is not None and apart and told and stamps_fit(reader, seen, apart[1]):
         note = f"{clocks.what}; by what they show the stamps are right: they were logged late"
     elif clocks is not None:
         failed.append(clocks)
@@ -409,13 +485,16 @@ def pair_check(window: Window, sync: SyncConfig) -> list[Check]:
     return [Check("pairs", what + "time", mend + "apart")]
 
 
-def part_check(recording: Path) -> list[Check]:
-    """Whether the recording is a part of one that its recorder split, and the rest is not read."""
+def part_check(recording: Path, parts: tuple[Path, ...] = ()) -> list[Check]:
+    """Whether the recording is a part of one that its recorder split, and the rest is not read.
+
+    parts: those that are, where they are several.
+    """
     gone = missing_parts(recording) if recording.is_dir() else []
     if gone:
         what = f"metadata.yaml lists {', '.join(gone)}, which is not in the folder"
         return [Check(PART_CHECK, what, "copy the whole folder")]
-    files = sorted(recording.glob("*.db3")) if recording.is_dir() else [recording]
+    files = sorted(recording.glob("*.db3")) if recording.is_dir() else [*(parts or [recording])]
     for file in files:
         if lacks_its_log(file):
             what = (
@@ -424,7 +503,8 @@ def part_check(recording: Path) -> list[Check]:
             )
             mend = "copy the whole folder; if the recorder was killed and the -wal is lost, so "
             return [Check(PART_CHECK, what, mend + "are the last messages")]
-    other = unread_part(recording)
+    beside = [unread_part(file, parts) for file in dict.fromkeys([*parts[:1], *parts[-1:]])]
+    other = next((file for file in beside or [unread_part(recording)] if file is not None), None)
     if other is None:
         return []
     return [

@@ -46,6 +46,10 @@ STILL_FINGERS = ", and the fingers, whose joint states are recorded, never close
 LATE_NS, UP_NS = 50_000_000, 1_000_000_000
 FAR_NS = 60_000_000_000  # ns from the images, from which on a mark's time is no time of the trial
 EARLY_NS = 600_000_000  # ns, that the fingers begin to close after their command at most; ours
+NOT_BY_THESE = (
+    "no moment of closing is marked, and the joint states, which fail the check `joints`, show "
+    "none; mend that first, or mark it with --close TIME"
+)
 MENDS = "mark it with --close TIME, or close_ns in a manifest"
 
 

@@ -18,7 +18,7 @@ from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.pairing import pair_images
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
-from dgeval.recording.scan import Scan, scan
+from dgeval.recording.scan import Scan, add_to_stamps, scan
 from dgeval.recording.trials import Trial, open_trial
 
 Foretell = Callable[[Trial, Config], tuple[list[Check], list[str]]]
@@ -38,6 +38,7 @@ def inspect_recording(
     recording = first.recording
     opened = open_container(recording, first.parts)
     scanned = scan(opened, config.roles.events)
+    add_to_stamps(scanned, config.clock.topics)
     roles = find_roles(scanned, config.roles)
     robot: RobotStates | None = None
     robot_error = None
@@ -97,7 +98,7 @@ def _replay_preview(
             "joints": "the close is inferred from the fingers",
             "width": "the close is inferred from the gripper's width",
             "manifest": "the close is given",
-            None: "the robot's events hold no close",
+            None: "the fingers never close",
         }[trial.close.source]
     )
     return checks, f"{len(trial.pairs)} frames; {close}", [*trial.notes, *notes_later]

@@ -270,6 +270,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
     if left and not joints_mixed:
         notes.append(f"{', '.join(left)} are another robot's joint states and are not used")
     description = _description(scan, roles, joints, config, notes)
+    _keep_what_is_said_once(tree, description, notes)
     if description is not None:
         description, prefixed = as_published(description, tree.frames() | {camera})
         if prefixed:
@@ -491,6 +492,26 @@ def _add_transforms(
             f"the frame {child!r} is on /tf and on /tf_static; it was heard {kind} first, and tf2 "
             "keeps it so"
         )
+
+
+def _keep_what_is_said_once(
+    tree: TransformTree, description: Description | None, notes: list[str]
+) -> None:
+    """Make what /tf has only once fixed, as Foxglove's player does and tf2 does not: the whole
+    recording asks for it. Of a joint that moves the states tell more; a thing may have moved on.
+    """
+    joints = description.joints if description is not None else {}
+    kept = []
+    for child, (parent, track) in sorted(tree.moving.items()):
+        if len(track.times) > 1 or any(word in child.lower() for word in TAGS):
+            continue
+        moves = child in joints and joints[child].kind != "fixed"
+        if not moves:
+            kept.append(child)
+            tree.drop_moving(child)
+            tree.add_static(parent, child, matrix_from_pose(track.poses[0]))
+    if kept:
+        notes.append(f"/tf has {', '.join(map(repr, kept))} only once: taken as fixed")
 
 
 def _description(

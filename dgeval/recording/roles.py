@@ -124,8 +124,11 @@ def find_roles(scan: Scan, config: RolesConfig) -> Roles:
             n,
         ),
     )
-    # what ros2_control publishes besides says the same once more, and may lag
-    joints = [n for n in joints if topics[n].type == JOINT_STATE] or joints
+    # what ros2_control publishes besides says the same once more, and may lag; but a hand's
+    # controller may be the only one that tells of its joints
+    states = [n for n in joints if topics[n].type == JOINT_STATE]
+    told = {name for n in states for s in scan.joints[n] for name in s.positions}
+    joints = states + [n for n in joints if n not in states and _has_more(scan, n, told)]
     if config.hand_joints is not None:
         joints = [config.hand_joints]
     poses = [n for n in sorted(scan.poses) if used(n)]
@@ -208,6 +211,11 @@ def _of_camera(scan: Scan, name: str, colour_frame: str) -> bool:
     if child:
         return child == colour_frame or _has(child, "camera", "optical")
     return _has(name, "camera", "cam_pose")
+
+
+def _has_more(scan: Scan, topic: str, told: set[str]) -> bool:
+    """Whether a topic of joint states gives the position of a joint that is not among some."""
+    return any(name not in told for s in scan.joints[topic] for name in s.positions)
 
 
 def joint_topics(

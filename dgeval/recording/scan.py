@@ -9,14 +9,14 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dgeval.errors import Damage, Place, UndecodableError
+from dgeval.errors import Damage, Place, UndecodableError, UsageError
 from dgeval.geometry import Array, invert, matrix_from_pose, pose_from_matrix
 from dgeval.recording.clocks import RecorderClock, recorder_clock
 from dgeval.recording.containers.container import Opened, RawMessage
@@ -38,8 +38,10 @@ from dgeval.recording.events import heard_once
 from dgeval.recording.grippers import GOALS, goals_of, is_gripper_topic, number_of
 from dgeval.recording.images import decode_image
 from dgeval.recording.librealsense import (
+    EXTRINSICS,
     STREAM_POSE_TYPE,
     StreamAt,
+    extrinsics_of,
     frame_time_ns,
     pose_of_transform,
     stream_of,
@@ -148,7 +150,8 @@ class Transforms:
 class Scan:
     """What one pass keeps of a recording, most of it by topic; transforms by namespace.
 
-    depth_units: m per unit, by the topic of librealsense's option. not_events: entries of the
+    depth_units: m per unit, by the topic of librealsense's option. extrinsics: (4, 4) by the topic
+    of realsense-ros, from one stream into the other that its name says. not_events: entries of the
     events' topic that are not understood. description_changes: topics of several descriptions.
     recorder_clock: where the recorder's clock is not that of the stamps; events and numbers
     without a stamp are moved by it. numbers: by topic, each with its log time, ns;
@@ -175,6 +178,7 @@ class Scan:
     descriptions: dict[str, str] = field(default_factory=dict)
     description_changes: set[str] = field(default_factory=set)
     depth_units: dict[str, float] = field(default_factory=dict)
+    extrinsics: dict[str, Array] = field(default_factory=dict)
     undecodable: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     first_undecodable: dict[str, str] = field(default_factory=dict)
 
@@ -262,6 +266,8 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 if t_ns is not None:
                     stream = message.topic.removesuffix("metadata")
                     frame_times[stream][message.log_ns] = t_ns
+            elif topic.type in EXTRINSICS:
+                out.extrinsics[message.topic] = extrinsics_of(opened.decode(message))
             elif topic.type == STREAM_POSE_TYPE and (stream_at := stream_of(message.topic)):
                 streams[stream_at] = pose_of_transform(opened.decode(message))
             elif message.topic == wanted_events:
@@ -270,12 +276,12 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                     out.events.append(event_of(text, message.log_ns))
                 except ValueError:
                     out.not_events.append(text)
-            elif topic.type == "std_msgs/msg/String":
-                text = opened.decode(message).data
-                if message.topic.endswith(ROBOT_DESCRIPTION[1:]):
-                    if out.descriptions.get(message.topic, text) != text:
+            elif message.topic.endswith(ROBOT_DESCRIPTION[1:]):
+                urdf = getattr(opened.decode(message), "data", None)
+                if isinstance(urdf, str):
+                    if out.descriptions.get(message.topic, urdf) != urdf:
                         out.description_changes.add(message.topic)
-                    out.descriptions[message.topic] = text
+                    out.descriptions[message.topic] = urdf
             elif is_gripper_topic(message.topic, topic.type):
                 gripper = opened.decode(message)
                 if topic.type == GOALS:
@@ -324,6 +330,22 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             continue
         opened.damage.append(Damage(what, Place(str(opened.path), name)))
     return out
+
+
+def add_to_stamps(found: Scan, offsets: Mapping[str, int]) -> None:
+    """Move the stamps of topics of joint states or poses, by ns. UsageError for another one."""
+    for topic, offset_ns in offsets.items():
+        if topic not in found.joints and topic not in found.poses:
+            raise UsageError(
+                f"clock.topics names {topic!r}, which holds no joint states or poses",
+                Place(str(found.opened.path)),
+            )
+        times = found.times[topic]
+        times.header_ns = [t_ns + offset_ns for t_ns in times.header_ns]
+        for of_topic in (found.joints, found.poses):
+            if topic in of_topic:
+                moved = [replace(s, t_ns=s.t_ns + offset_ns) for s in of_topic[topic]]
+                of_topic[topic] = moved  # type: ignore[assignment]
 
 
 def _use_frame_times(found: Scan, frame_times: dict[str, dict[int, int]]) -> None:

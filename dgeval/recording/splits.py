@@ -34,8 +34,10 @@ def split_recordings(paths: list[Path]) -> list[tuple[Path, ...]]:
     return [together.get(path, (path,)) for path in paths if together.get(path, (path,))[0] == path]
 
 
-def unread_part(path: Path) -> Path | None:
-    """The file beside a recording that is its next or previous part; None without."""
+def unread_part(path: Path, read: tuple[Path, ...] = ()) -> Path | None:
+    """The file beside a recording that is its next or previous part, and not among those that are
+    read; None without.
+    """
     match = NUMBERED.fullmatch(path.name)
     if match is None or not path.is_file():
         return None
@@ -44,7 +46,7 @@ def unread_part(path: Path) -> Path | None:
     k = int(match["k"])
     for pair in ((k, k + 1), (k - 1, k)):
         files = [numbers[i] for i in pair if i in numbers]
-        if len(files) == 2 and _follow(files):
+        if len(files) == 2 and not set(files) <= set(read) and _follow(files):
             return next(file for file in files if file != path)
     return None
 

@@ -29,7 +29,7 @@ from dgeval.recording.choices import (
     choice_span,
     recorded_choices,
 )
-from dgeval.recording.closes import CloseKnown, close_of, gripper_tracks
+from dgeval.recording.closes import NOT_BY_THESE, CloseKnown, close_of, gripper_tracks
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import ACCEPTED_TOPIC, CLOSE_EVENT, EventKind
@@ -42,7 +42,7 @@ from dgeval.recording.pairing import Pair, Window, pair_images, stamp_notes, win
 from dgeval.recording.recorded_target import RECORDED, UNDECODABLE, marks_of, unusable
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles, image_topics
-from dgeval.recording.scan import Scan, scan
+from dgeval.recording.scan import Scan, add_to_stamps, scan
 
 __all__ = ["Trial", "find_trials", "open_trial"]  # scripts outside the package find all three here
 
@@ -152,6 +152,7 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
             place,
         )
     scanned = scan(opened, config.roles.events)
+    add_to_stamps(scanned, config.clock.topics)
     clock, clock_note = scanned.recorder_clock, []
     if clock is not None:
         clock_note = [
@@ -224,8 +225,9 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
     close_ns = events.first_ns(CLOSE_EVENT)
     checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock, close_ns)
     checks += pair_check(window, config.sync)
-    if not spec.parts:
-        checks += part_check(spec.recording)
+    checks += part_check(spec.recording, spec.parts)
+    if close.source is None and close.missing is None and any(c.name == "joints" for c in checks):
+        close = replace(close, missing=NOT_BY_THESE)
     if close.late:
         began = ((close.fingers_ns or first_ns) - first_ns) * 1e-9
         checks.append(Check("events", close.late, f"if the mark is late: --close {began:+.2f}"))

@@ -208,7 +208,7 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
     if scene.close is not None and scene.hand.finish is None:
         notes.append(
             "verdict: the lift is dgeval's own, straight up: after the close the log shows no "
-            f"whole rise of the hand by {LEAST_RISE_M:.2f} m or more"
+            f"lift of the hand by {LEAST_RISE_M:.2f} m or more to its end"
         )
     if scene.held:
         notes.append(

@@ -9,18 +9,37 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from dgeval.config import Config
+from dgeval.errors import UnreadableError, UsageError
+from dgeval.geometry import increment
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.encodings import json_text
+from dgeval.recording.librealsense import extrinsics_of
 from dgeval.recording.manifest import find_trials
-from dgeval.recording.messages import event_of, event_text
+from dgeval.recording.messages import event_of, event_text, stamp_ns
 from dgeval.recording.splits import split_recordings
 from dgeval.recording.trials import open_trial
 from dgeval.verdict.log import log_of
 from google.protobuf import struct_pb2
 from rosbags.typesys import get_types_from_msg
-from tests.recording.recorders import EVENTS, STORE, TYPES, Message, contents, names, opened, write
+from tests.recording.recorders import (
+    COLOUR,
+    DEPTH,
+    EVENTS,
+    INFO,
+    JOINTS,
+    STORE,
+    TYPES,
+    Message,
+    contents,
+    header,
+    names,
+    opened,
+    write,
+)
+from tests.recording.test_seventh_strangers import OPTICAL, TF, transform
 
 GRASP_EVENT = "grasp_msgs/msg/GraspEvent"
 STORE.register(
@@ -158,3 +177,242 @@ def test_events_whose_times_are_no_times_of_the_trial_place_no_close(
     assert log.close_ns is not None
     assert log.first_ns < log.close_ns < log.last_ns
     assert log.label == "success"
+
+
+def stamped(like: Any, **changes: Any) -> Any:
+    value = copy.deepcopy(like)
+    for name, change in changes.items():
+        setattr(value, name, change)
+    return value
+
+
+POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
+CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
+if CONTROLLER not in STORE.fielddefs:
+    fields = "\n".join(
+        f"trajectory_msgs/JointTrajectoryPoint {name}" for name in ("reference", "feedback")
+    )
+    STORE.register(
+        get_types_from_msg(f"std_msgs/Header header\nstring[] joint_names\n{fields}", CONTROLLER)
+    )
+
+
+def in_controller(messages: list[Message], moved: Any) -> list[Message]:
+    """Some of the joints, by name, on the topic of their controller alone."""
+    out = []
+    for m in messages:
+        if m[1] != JOINTS:
+            out.append(m)
+            continue
+        names_, positions = list(m[3].name), np.asarray(m[3].position)
+        for topic, chosen in ((JOINTS, False), ("/hand_controller/controller_state", True)):
+            k = [i for i, name in enumerate(names_) if moved(name) == chosen]
+            listed, at = [names_[i] for i in k], positions[k]
+            if not chosen:
+                state = stamped(m[3], name=listed, position=at, velocity=at * 0, effort=at * 0)
+                out.append([m[0], topic, m[2], state])
+                continue
+            none = np.zeros(0)
+            after = TYPES["builtin_interfaces/msg/Duration"](sec=0, nanosec=0)
+            points = [TYPES[POINT](q, none, none, none, after) for q in (at + 1.0, at)]
+            out.append([m[0], topic, CONTROLLER, TYPES[CONTROLLER](m[3].header, listed, *points)])
+    return out
+
+
+def test_a_hand_that_only_its_controller_tells_of(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where "the fingers' joint states are not recorded" is said of a log that has them."""
+    before = opened(write(tmp_path / "a.mcap", messages)).robot.joints
+    after = opened(
+        write(tmp_path / "b.mcap", in_controller(messages, lambda n: n.startswith("index")))
+    ).robot.joints
+    assert {n for n in before.values if n.startswith("index")}
+    assert after.values == before.values
+    # what a controller says of joints that have states is the same once more
+    again = [*messages, *(m for m in in_controller(messages, lambda n: True) if m[1] != JOINTS)]
+    assert opened(write(tmp_path / "c.mcap", again)).roles.joints == (JOINTS,)
+
+
+def on_tf(messages: list[Message], once: tuple[str, ...], robot: Any) -> list[Message]:
+    """The recording without description and joints, its frames on /tf; some of them once."""
+    colour = [m for m in messages if m[1] == COLOUR]
+    out = [m for m in messages if m[1] not in (JOINTS, "/robot_description")]
+    for k, m in enumerate(colour):
+        t_ns = stamp_ns(m[3])
+        edges = [("base_link", "palm_link"), ("palm_link", OPTICAL)]
+        for parent, child in edges:
+            if child in once and k:
+                continue
+            T = robot.tree.lookup(parent, child, t_ns)
+            edge = transform(m[3].header.stamp, parent, child, T)
+            out.append([m[0], "/tf", TF, TYPES[TF](transforms=[edge])])
+    return out
+
+
+def test_a_mount_that_is_on_tf_once_is_fixed(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where a camera's mount, sent once, leaves one frame with a pose."""
+    robot = opened(write(tmp_path / "a.mcap", messages)).robot
+    always = opened(write(tmp_path / "b.mcap", on_tf(messages, (), robot)))
+    once = opened(write(tmp_path / "c.mcap", on_tf(messages, (OPTICAL,), robot)))
+    assert any("/tf has 'camera_color_optical_frame' only once" in n for n in once.notes)
+    assert once.checks == always.checks == ()
+    assert contents(once) == contents(always)
+
+
+def test_a_tag_that_is_seen_once_stays_where_it_was_only_then(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a thing that was seen once is taken to stand still for ever."""
+    robot = opened(write(tmp_path / "a.mcap", messages)).robot
+    m = next(m for m in messages if m[1] == COLOUR)
+    tag = TYPES[TF](transforms=[transform(m[3].header.stamp, OPTICAL, "tag_3", np.eye(4))])
+    trial = opened(
+        write(tmp_path / "b.mcap", [*on_tf(messages, (), robot), [m[0], "/tf", TF, tag]])
+    )
+    assert "tag_3" in trial.robot.tree.moving
+
+
+EXTRINSICS = "realsense2_camera_msgs/msg/Extrinsics"
+STORE.register(
+    get_types_from_msg(
+        "std_msgs/Header header\nfloat64[9] rotation\nfloat64[3] translation", EXTRINSICS
+    )
+)
+
+
+def test_the_drivers_own_extrinsics_bring_depth_into_colour(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where depth is refused for want of what realsense-ros records beside it, or where its
+    rotation is read by rows.
+    """
+    T = increment(np.array([-0.015, 0.002, 0.001, 0.02, -0.03, 0.01]))  # colour from depth
+    topics = {DEPTH: "/camera/depth/image_rect_raw/compressedDepth", INFO: INFO}
+    listed = []
+    for m in messages:
+        if m[1] in topics:
+            listed.append([m[0], topics[m[1]], m[2], m[3]])
+        if m[1] == DEPTH:
+            listed[-1][3] = stamped(m[3], header=header(m[3], "depth_optical"))
+        elif m[1] == INFO:
+            own = stamped(m[3], header=header(m[3], "depth_optical"))
+            listed.append([m[0], "/camera/depth/camera_info", m[2], own])
+        elif m[1] not in topics:
+            listed.append(m)
+    first = listed[0]
+    with pytest.raises(UnreadableError, match="the transform between them"):
+        opened(write(tmp_path / "a.mcap", listed))
+    said = TYPES[EXTRINSICS](
+        header=header(next(m[3] for m in messages if m[1] == COLOUR), ""),
+        rotation=np.ascontiguousarray(T[:3, :3].T).ravel(),
+        translation=T[:3, 3].copy(),
+    )
+    both = [*listed, [first[0], "/camera/extrinsics/depth_to_color", EXTRINSICS, said]]
+    trial = opened(write(tmp_path / "b.mcap", both))
+    alignment = trial.reader.camera.alignment
+    assert alignment is not None
+    np.testing.assert_allclose(alignment.T_colour_depth, T, atol=1e-12)
+    with pytest.raises(ValueError, match="rotation"):
+        extrinsics_of(SimpleNamespace(rotation=np.full(9, 0.5), translation=np.zeros(3)))
+
+
+def test_what_two_files_that_overlapped_hold_twice_is_no_fault(
+    tmp_path: Path, messages: list[Message], original: list[Any]
+) -> None:
+    """Fails where copies are told as stamps that go back, and the recording is to be cut."""
+    twice = [[m[0] + 700_000, *m[1:]] for m in sorted(messages, key=lambda m: m[0])[300:700]]
+    trial = opened(write(tmp_path / "a.mcap", [*messages, *twice]))
+    assert names(trial) == []
+    assert contents(trial) == original
+
+
+def test_parts_that_are_given_without_the_last_are_told(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where several parts count as the whole, and the label in the last one is lost."""
+    files = parts(tmp_path / "run", messages)
+    for given, other in ((files[:-1], files[-1]), (files[1:], files[0])):
+        (spec, *rest) = find_trials(given)
+        if rest:
+            continue  # without the first part each is one of its own
+        checks = open_trial(spec, Config()).checks
+        assert [other.name in str(c) for c in checks if c.name == "parts"] == [True]
+    (spec,) = find_trials(files)
+    assert "parts" not in names(open_trial(spec, Config()))
+
+
+def test_joints_that_cant_be_right_say_nothing_of_the_close(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where fingers in ticks of their encoders "never close"."""
+    ticks = [m for m in copy.deepcopy(messages) if m[1] != EVENTS]
+    for m in ticks:
+        if m[1] == JOINTS:
+            finger = np.array([not name.startswith("joint") for name in m[3].name])
+            m[3].position = np.where(finger, 2048.0, m[3].position)
+    trial = opened(write(tmp_path / "a.mcap", ticks))
+    assert "joints" in names(trial)
+    assert trial.close.source is None
+    assert trial.close.missing is not None
+
+
+def apart(
+    messages: list[Message], arm_ns: int, hand_ns: int, hand: str = "/hand/joint_states"
+) -> list[Message]:
+    """Arm and hand on topics of their own, their stamps moved; logged when they were before."""
+    out = []
+    for m in messages:
+        if m[1] != JOINTS:
+            out.append(m)
+            continue
+        finger = np.array([not name.startswith("joint") for name in m[3].name])
+        for topic, kept, by_ns in ((JOINTS, ~finger, arm_ns), (hand, finger, hand_ns)):
+            state = stamped(m[3])
+            state.name = [n for n, k in zip(m[3].name, kept, strict=True) if k]
+            state.position = np.asarray(m[3].position)[kept]
+            state.velocity = state.effort = np.zeros(0)
+            stamp = state.header.stamp
+            stamp.sec, stamp.nanosec = divmod(stamp_ns(state) + by_ns, 1_000_000_000)
+            out.append([m[0], topic, m[2], state])
+    return out
+
+
+def setting_of(mend: str) -> str:
+    """The assignment that a check's line gives."""
+    return mend.removeprefix("set ").removeprefix("--set ").strip("'")
+
+
+@pytest.mark.parametrize(
+    ("arm_s", "hand_s"), [(0.0, 0.35), (0.0, -900.0), (1.3, 1.3), (1.3, 1.0), (0.9, 0.0)]
+)
+def test_the_clock_that_is_odd_is_the_one_to_set(
+    tmp_path: Path, messages: list[Message], arm_s: float, hand_s: float
+) -> None:
+    """Fails where the camera, which the recorder agrees with, is told to move to the robot."""
+    by_ns = [round(s * 1e9) for s in (arm_s, hand_s)]
+    before = opened(write(tmp_path / "a.mcap", apart(messages, 0, 0)))
+    path = write(tmp_path / "b.mcap", apart(messages, *by_ns))
+    (told,) = [c for c in opened(path).checks if c.name == "clocks"]
+    assert "those of the camera, by the recorder" in told.what
+    after = opened(path, setting_of(told.mend))
+    assert names(after) == names(before) == []
+    for joint, times in before.robot.joints.times.items():
+        apart_ns = np.subtract(times, after.robot.joints.times[joint])
+        assert np.abs(apart_ns).max() < 25_000_000  # how evenly the recorder wrote
+    assert contents(after)[0][:3] == contents(before)[0][:3]
+
+
+def test_a_topic_that_has_no_states_has_no_clock(tmp_path: Path, messages: list[Message]) -> None:
+    path = write(tmp_path / "a.mcap", messages)
+    with pytest.raises(UsageError, match="holds no joint states or poses"):
+        opened(path, f'clock.topics={{"{COLOUR}" = 5}}')
+
+
+def test_a_recorder_that_runs_faster_is_no_clock_of_the_camera(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a simulation at 0.4 of real time is told to move its pictures."""
+    first = min(m[0] for m in messages)
+    slow = [[first + round((m[0] - first) * 2.5) + 10**18, *m[1:]] for m in messages]
+    trial = opened(write(tmp_path / "a.mcap", slow))
+    assert names(trial) == []
+    assert not any("stamps are" in note for note in trial.notes)

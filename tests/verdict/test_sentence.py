@@ -552,7 +552,7 @@ def test_notes_of_what_the_log_does_not_hold(stages: Replace) -> None:
     assert notes(stages, BLAMED, close=None, **unseen) == [blamed]
     [_, lift] = notes(stages, BLAMED, hand=SimpleNamespace(finish=None))
     assert lift == (
-        "verdict: the lift is dgeval's own, straight up: after the close the log shows no whole "
-        "rise of the hand by 0.05 m or more"
+        "verdict: the lift is dgeval's own, straight up: after the close the log shows no lift "
+        "of the hand by 0.05 m or more to its end"
     )
     assert notes(stages, BLAMED, close=None, hand=SimpleNamespace(finish=None)) == [blamed]

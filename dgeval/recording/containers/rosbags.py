@@ -104,8 +104,13 @@ class RosbagsContainer:
                     connection.execute("PRAGMA journal_mode=DELETE").fetchone()
             except sqlite3.Error:
                 pass  # the check that follows says what is wrong
-        names = ", ".join(sorted(p.name for p in left))
-        self.notes.append(f"the recorder was stopped: what {names} holds is read as well")
+        for end, what in (
+            ("-wal", "what {} holds is read as well"),
+            ("-journal", "what was written last is taken back, as {} says"),
+        ):
+            names = ", ".join(sorted(p.name for p in left if p.name.endswith(end)))
+            if names:
+                self.notes.append(f"the recorder was stopped: {what.format(names)}")
         return folder if source.is_dir() else folder / source.name
 
     def _open(self) -> AnyReader:
