@@ -10,7 +10,7 @@ import difflib
 import tomllib
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
@@ -652,7 +652,25 @@ def validated(model: type[Model], values: dict[str, Any], what: str, path: Path)
     except ValidationError as error:
         first: Any = error.errors()[0]
         key = ".".join(str(p) for p in first["loc"])
-        raise UsageError(f"{what}: {key}: {first['msg']}", Place(str(path))) from error
+        hint = None
+        if first["type"] == "extra_forbidden":
+            first["msg"] = "there is no such key"
+            hint = _known_keys(model, first["loc"])
+        raise UsageError(f"{what}: {key}: {first['msg']}", Place(str(path)), hint) from error
+
+
+def _known_keys(model: type[BaseModel], where: tuple[int | str, ...]) -> str | None:
+    """What may stand in the place of an unknown key; None where that is not known."""
+    at: Any = model
+    for part in where[:-1]:
+        if isinstance(part, int):
+            continue
+        fields: dict[str, Any] = getattr(at, "model_fields", {})
+        at = fields[part].annotation if part in fields else None
+        at = next((a for a in get_args(at) if isinstance(a, type)), at)
+    if not (isinstance(at, type) and issubclass(at, BaseModel)):
+        return None
+    return f"there are {', '.join(sorted(at.model_fields))}"
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -50,6 +50,7 @@ from dgeval.recording.stamp_checks import stamp_checks
 MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
 DRIFTS_S = 0.03  # s over a recording, that explain a scene that seems to move; ours
 BY_MOTION = ("depth_unit", "depth_offset", "intrinsics", "camera_poses", "clocks")  # checks by it
+MOSTLY = 0.5  # share of a topic's texts that must be events, to say so; ours
 SAME_S = 0.02  # s, within which topics have one clock; ours
 CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 # of topics that may hold an outcome: words in their names, and their types
@@ -312,6 +313,18 @@ def unread_results(scan: Scan) -> list[str]:
         return []
     what = f"{', '.join(listed)} may say how it ended, and is not read"
     return [f"{what}; if so: --label success|failure, or label in a manifest"]
+
+
+def events_elsewhere(scan: Scan) -> list[str]:
+    """A note on topics whose texts are mostly events, where the topic of events has none."""
+    if scan.events or scan.not_events:
+        return []
+    return [
+        f"{n} of {count} texts of {topic} could be events, and are not read; if they are: "
+        f"--set roles.events={topic}"
+        for topic, (n, count) in sorted(scan.words.items())
+        if n >= MOSTLY * count
+    ]
 
 
 def _poses(scan: Scan, robot: RobotStates, window: Window) -> list[Check]:

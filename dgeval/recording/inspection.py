@@ -13,13 +13,14 @@ from dgeval.errors import DgevalError
 from dgeval.recording.check import Check
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.containers.opening import open_container
-from dgeval.recording.contract import BELIEF_PREFIX, TRUTH_PREFIX
+from dgeval.recording.contract import BELIEF_PREFIX, GRASP_TOPIC, TARGET_TOPIC, TRUTH_PREFIX
 from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.pairing import pair_images
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles
 from dgeval.recording.scan import Scan, add_to_stamps, scan
 from dgeval.recording.trials import Trial, open_trial
+from dgeval.robots.hand import KnownHand
 
 Foretell = Callable[[Trial, Config], tuple[list[Check], list[str]]]
 
@@ -244,13 +245,18 @@ def _answers(
     label = [] if said else ["a label event"]
     if not isinstance(trial, Trial):  # what is marked is known with the trial
         closed = label = ["a trial that can be opened"]
-    belief = [] if out["roles"]["belief"] else ["belief topics"]
+        images = images or closed
+    poses = trial.scan.poses if isinstance(trial, Trial) else {}
+    belief = [topic for topic in (GRASP_TOPIC, TARGET_TOPIC) if len(poses.get(topic, ())) < 2]
+    own_hand = robot.hand if robot is not None else None
+    plans = isinstance(own_hand, KnownHand) and own_hand.grasp_network == "ffhnet"
+    grasp = [] if plans or poses.get(GRASP_TOPIC) else ["a grasp in the log"]
     return [
         answer("where is the target in the camera, frame by frame", images),
         answer("how does it move in the base frame", images + pose),
         answer(
             "what would the controller have commanded",
-            images + pose + hand + (belief and ["a grasp in the log"]),
+            images + pose + hand + grasp,
         ),
         answer("how did it end, by an operator's word", label),
         answer("why did it fail", images + pose + hand + geometry + closed),

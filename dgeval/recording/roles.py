@@ -20,9 +20,17 @@ from dgeval.recording.cameras import (
     is_aligned_by_name,
     other_camera,
 )
+from dgeval.recording.containers.container import Topic
 from dgeval.recording.contract import DGEVAL_PREFIX, MASK_TOPIC, TRUTH_PREFIX
+from dgeval.recording.detections import DETECTION_TYPES
 from dgeval.recording.images import DEPTH_ENCODINGS
-from dgeval.recording.messages import JOINT_STATE, JointSample
+from dgeval.recording.messages import (
+    CAMERA_INFO,
+    IMAGE_TYPES,
+    JOINT_STATE,
+    TF_TYPES,
+    JointSample,
+)
 from dgeval.recording.namespaces import Series, differ, namespace_of, of_camera
 from dgeval.recording.scan import ImageHead, Scan
 from dgeval.recording.video import EXTRA, is_available
@@ -35,6 +43,8 @@ SAME_SHAPE = 0.01  # share; a mask whose sides have the picture's ratio within t
 MASK_ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1", "32SC1")
 # parts of a topic's name that say that its joint states were wanted, not measured
 WANTED = ("desired", "command", "cmd", "target", "reference", "setpoint", "goal")
+# parts of a type's name that say that it holds pictures
+PICTURES = ("image", "video", "picture", "theora", "frame")
 # parts of a topic's name that rule it out as the camera or a state of the robot
 NOT_A_CAMERA = (DGEVAL_PREFIX, TRUTH_PREFIX, "mask", "debug", "annotated", "detection")
 
@@ -328,19 +338,34 @@ def image_topics(scan: Scan, roles: Roles) -> tuple[str, str]:
     )
     topics = sorted(scan.opened.topics.values(), key=lambda t: t.name)
     listed = ", ".join(f"{t.name} ({t.stored_type or t.type})" for t in topics) or "nothing"
-    damage = scan.opened.damage
+    of = scan.opened.topics
+    damage = [d for d in scan.opened.damage if not _is_unread(of.get(d.place.topic or ""))]
     lost = f" after damage ({damage[0].what})" if damage else ""
     unread = [f"{t.name}: {t.unread}" for t in topics if t.unread]
+    unread += [f"{t.name}: {t.stored_type or t.type} is not read" for t in topics if _shows(t)]
     unread += [f"{n}: {_why_unread(h)}" for n, h in scan.images.items() if h.encoding == "?"]
     if roles.depth is None:
         unread += [f"{n}: {why}" for n in sorted(scan.opened.topics) if (why := _no_depth(scan, n))]
     told = f"; not understood: {'; '.join(unread)}" if unread else ""
     usable = [n for n, h in scan.images.items() if h.encoding != "?"]
     hint = "name it with --set roles.colour=… or roles.depth=…" if len(usable) > 1 else None
-    if missing == "depth" and not depth_topics(scan, scan.images):
+    if unread and hint is None:
+        hint = "record raw images, JPEG, PNG or compressedDepth (docs/recording.md)"
+    if missing == "depth" and not depth_topics(scan, scan.images) and not unread:
         sure = ", ".join(sorted(DEPTH_ENCODINGS - {"mono16"}))
         hint = f"none holds depth ({sure}, or mono16 under a name with depth): record it"
     raise UnreadableError(f"no {missing} images found{lost} among: {listed}{told}", place, hint)
+
+
+def _is_unread(topic: Topic | None) -> bool:
+    """Whether a topic's encoding is none that is read: nothing of it is damaged."""
+    return topic is not None and topic.unread is not None
+
+
+def _shows(topic: Topic) -> bool:
+    """Whether a topic whose type is not read is likely to hold pictures, by its type's name."""
+    read = topic.type in IMAGE_TYPES or topic.type in (CAMERA_INFO, *TF_TYPES, *DETECTION_TYPES)
+    return not read and not topic.unread and _has(topic.stored_type or topic.type, *PICTURES)
 
 
 def _no_depth(scan: Scan, topic: str) -> str:
@@ -363,7 +388,7 @@ def _no_depth(scan: Scan, topic: str) -> str:
 
 def _why_unread(head: ImageHead) -> str:
     if head.codec is None:
-        return f"{head.format} images"
+        return f"{head.format!r} pictures, which are not read"
     if not is_available():
         return f"{head.format} video, which needs {EXTRA}"
     return f"{head.format} video without a picture that can be decoded"

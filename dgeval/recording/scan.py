@@ -6,6 +6,7 @@ per message and no image, so memory does not grow with the size of images.
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import zlib
 from collections import defaultdict
@@ -25,6 +26,7 @@ from dgeval.recording.contract import (
     CANDIDATE_SCORES_TOPIC,
     CANDIDATES_TOPIC,
     DEPTH_UNIT,
+    EVENT_KINDS,
     EVENTS_TOPIC,
     EXECUTE_TOPIC,
     GRASP_SCORE_TOPIC,
@@ -151,7 +153,8 @@ class Scan:
     """What one pass keeps of a recording, most of it by topic; transforms by namespace.
 
     depth_units: m per unit, by the topic of librealsense's option. extrinsics: (4, 4) by the topic
-    of realsense-ros, from one stream into the other that its name says. not_events: entries of the
+    of realsense-ros, from one stream into the other that its name says. words: by another topic of
+    texts, how many of them an event could be, and how many there are. not_events: entries of the
     events' topic that are not understood. description_changes: topics of several descriptions.
     recorder_clock: where the recorder's clock is not that of the stamps; events and numbers
     without a stamp are moved by it. numbers: by topic, each with its log time, ns;
@@ -179,6 +182,7 @@ class Scan:
     description_changes: set[str] = field(default_factory=set)
     depth_units: dict[str, float] = field(default_factory=dict)
     extrinsics: dict[str, Array] = field(default_factory=dict)
+    words: dict[str, list[int]] = field(default_factory=lambda: defaultdict(lambda: [0, 0]))
     undecodable: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     first_undecodable: dict[str, str] = field(default_factory=dict)
 
@@ -282,6 +286,8 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                     if out.descriptions.get(message.topic, urdf) != urdf:
                         out.description_changes.add(message.topic)
                     out.descriptions[message.topic] = urdf
+            elif topic.type == "std_msgs/msg/String":
+                _count_words(out.words[message.topic], opened.decode(message).data)
             elif is_gripper_topic(message.topic, topic.type):
                 gripper = opened.decode(message)
                 if topic.type == GOALS:
@@ -330,6 +336,13 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             continue
         opened.damage.append(Damage(what, Place(str(opened.path), name)))
     return out
+
+
+def _count_words(counted: list[int], text: str) -> None:
+    """Count a text, and whether it would be understood as an event."""
+    counted[1] += 1
+    with contextlib.suppress(ValueError):
+        counted[0] += event_of(text, 0).kind in EVENT_KINDS
 
 
 def add_to_stamps(found: Scan, offsets: Mapping[str, int]) -> None:

@@ -18,6 +18,7 @@ from dgeval.recording.check import Check
 from dgeval.recording.checks import (
     clock_check,
     event_checks,
+    events_elsewhere,
     failed_checks,
     pair_check,
     part_check,
@@ -204,6 +205,7 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
         *started_twice(scanned.events, window.start_ns, window.end_ns),
         *events.notes(),
         *([] if spec.label or events.label() else unread_results(scanned)),
+        *events_elsewhere(scanned),
         *stamp_notes(window.stamp_faults),
     ]
     lost = LostFrames(opened.damage)

@@ -60,6 +60,8 @@ def target_note(trial: Trial, target: FoundTarget | None) -> list[str]:
         marked = f", of what {target.topic} marks" if target.topic else ""
         others = f"; {target.n_others} more can be followed" if target.n_others else ""
         how = f"what comes within {target.apart_m * 1000:.0f} mm of the grasp{marked}{others}"
+        if trial.roles.target and not target.topic:
+            how += f", as {', '.join(trial.roles.target)} marks none of it"
     other = [
         f"target: {what}"
         for topic in trial.roles.target

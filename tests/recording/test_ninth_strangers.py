@@ -15,7 +15,8 @@ from dgeval.config import Config
 from dgeval.errors import UnreadableError, UsageError
 from dgeval.geometry import increment
 from dgeval.recording.containers.opening import open_container
-from dgeval.recording.encodings import json_text
+from dgeval.recording.encodings import foxglove, json_text
+from dgeval.recording.inspection import inspect_recording
 from dgeval.recording.librealsense import extrinsics_of
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.messages import event_of, event_text, stamp_ns
@@ -416,3 +417,93 @@ def test_a_recorder_that_runs_faster_is_no_clock_of_the_camera(
     trial = opened(write(tmp_path / "a.mcap", slow))
     assert names(trial) == []
     assert not any("stamps are" in note for note in trial.notes)
+
+
+# what is told
+
+
+@pytest.mark.parametrize(
+    ("magic", "packing"),
+    [(b"\x04\x22\x4d\x18", "lz4"), (b"\xfd7zXZ\x00", "xz"), (b"BZh91AY", "bzip2")],
+)
+def test_a_file_that_is_packed_otherwise_is_to_be_unpacked(
+    tmp_path: Path, magic: bytes, packing: str
+) -> None:
+    path = tmp_path / "a.mcap.packed"
+    path.write_bytes(magic + bytes(600))
+    with pytest.raises(UnreadableError, match=f"with {packing}, which is not read; unpack it"):
+        open_container(path)
+
+
+PACKET = "theora_image_transport/msg/Packet"
+STORE.register(get_types_from_msg("std_msgs/Header header\nuint8[] data", PACKET))
+
+
+@pytest.mark.parametrize("kind", [PACKET, "sensor_msgs/msg/CompressedImage"])
+def test_pictures_in_a_form_that_is_not_read_are_named_as_that(
+    tmp_path: Path, messages: list[Message], kind: str
+) -> None:
+    """Fails where "no depth is recorded" is said of depth that is, or where it is called damage."""
+    listed = [m for m in messages if m[1] != DEPTH]
+    for m in messages:
+        if m[1] != DEPTH:
+            continue
+        data = np.frombuffer(b"(\xb5/\xfd" + bytes(60), np.uint8)
+        fields: dict[str, Any] = {"header": m[3].header, "data": data}
+        if kind != PACKET:
+            fields["format"] = "16UC1; zstd"
+        listed.append([m[0], "/camera/depth/packed", kind, TYPES[kind](**fields)])
+    with pytest.raises(UnreadableError) as told:
+        opened(write(tmp_path / "a.mcap", listed))
+    text = str(told.value)
+    assert "not understood: /camera/depth/packed: " in text
+    assert ("theora_image_transport/msg/Packet is not read" in text) == (kind == PACKET)
+    assert "none holds depth" not in text
+    assert "after damage" not in text
+    assert "record raw images" in text
+
+
+def test_a_foxglove_image_without_a_time_has_the_recorders() -> None:
+    """Fails where a default that JSON leaves out is called damage."""
+    text = b'{"frame_id": "c", "format": "jpeg", "data": "aGk="}'
+    read = foxglove.adapted("foxglove.CompressedImage", json_text.decode)(text)
+    assert (stamp_ns(read), read.header.frame_id, bytes(read.data)) == (0, "c", b"hi")
+
+
+def test_events_on_a_topic_of_their_own_are_named(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where "no close is recorded" is all that is said of a log that holds it."""
+    own = "/experiment/events"
+    listed = [[m[0], own if m[1] == EVENTS else m[1], *m[2:]] for m in messages]
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert any(f"--set roles.events={own}" in note for note in trial.notes)
+    given = opened(tmp_path / "a.mcap", f"roles.events={own}")
+    assert given.close.source == "event"
+    assert not any("could be events" in note for note in given.notes)
+
+
+def test_a_key_that_a_manifest_has_not_is_told_with_those_that_it_has(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text('[[trial]]\nrecording = "a.mcap"\noutcome = "failed"\n')
+    with pytest.raises(
+        UsageError, match=r"trial\.0\.outcome: there is no such key; there are .*label"
+    ):
+        find_trials([path])
+
+
+def test_what_is_asked_of_a_trial_that_cant_be_opened_can_not_be_told(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where `inspect` says yes to what `replay` refuses, or to blame without beliefs."""
+    apart_ns = [m for m in copy.deepcopy(messages) if m[1] != EVENTS]
+    for m in apart_ns:
+        if m[1] == DEPTH:
+            m[3].header.stamp.sec += 5000
+    path = write(tmp_path / "a.mcap", apart_ns)
+    refused = inspect_recording(path, Config())
+    assert refused["replay"].startswith("refused")
+    assert not any(a["can"] for a in refused["answers"])
+    whole = inspect_recording(write(tmp_path / "b.mcap", messages), Config())
+    can = {a["question"]: a["can"] for a in whole["answers"]}
+    assert can["where is the target in the camera, frame by frame"]
+    assert can["what would the controller have commanded"]
+    assert not can["which part of the robot's own belief is to blame"]  # it has no target's pose

@@ -24,6 +24,12 @@ from dgeval.recording.containers.container import (
 BAG_MAGIC = b"#ROSBAG V"
 ZIP_MAGIC, TAR_MAGIC = b"PK\x03\x04", b"ustar"  # tar's from the 257th byte on
 GZIP_MAGIC = b"\x1f\x8b"
+# by the first bytes: with what a file is compressed, and what takes it out
+OTHER_PACKING = {
+    b"\x04\x22\x4d\x18": ("lz4", "unlz4 FILE"),
+    b"\xfd7zXZ\x00": ("xz", "unxz FILE"),
+    b"BZh": ("bzip2", "bunzip2 FILE"),
+}
 PACKED = (".zstd", ".zst", ".gz")  # behind a name: the file is compressed as a whole
 STORED = (".mcap", ".db3")  # what a ROS 2 folder holds, also with .zstd behind it
 METADATA = "metadata.yaml"
@@ -159,6 +165,10 @@ def _file(path: Path) -> Container:
         return McapContainer(path)
     if head.startswith(BAG_MAGIC) or head == SQLITE_MAGIC:
         return RosbagsContainer(path)
+    for magic, (packing, unpack) in OTHER_PACKING.items():
+        if head.startswith(magic):
+            what = f"compressed as a whole with {packing}, which is not read"
+            raise UnreadableError(what, place, f"unpack it ({unpack}), or compress it with zstd")
     hint: str | None = None
     if head.startswith(b"version https://"):
         hint = "this is a git-LFS pointer, not the recording: run `git lfs pull`"

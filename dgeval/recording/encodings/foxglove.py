@@ -74,8 +74,11 @@ def _in_snake_case(value: Any) -> Any:
 def _stamp(time: Any) -> SimpleNamespace:
     """From protobuf (seconds, nanos), JSON (sec, nsec, or an RFC 3339 text) or ROS (sec, nanosec).
 
-    ValueError for a text of another form.
+    0 without one, as of an image whose recorder's time counts. ValueError for a text of another
+    form.
     """
+    if time is None:
+        return SimpleNamespace(sec=0, nanosec=0)
     if isinstance(time, str):
         parts = RFC_3339.fullmatch(time)
         if parts is None:
@@ -93,7 +96,9 @@ def _stamp(time: Any) -> SimpleNamespace:
 
 
 def _header(message: Any, frame: str = "frame_id") -> SimpleNamespace:
-    return SimpleNamespace(stamp=_stamp(message.timestamp), frame_id=getattr(message, frame, ""))
+    return SimpleNamespace(
+        stamp=_stamp(getattr(message, "timestamp", None)), frame_id=getattr(message, frame, "")
+    )
 
 
 def _bytes(data: Any) -> bytes:
@@ -159,7 +164,7 @@ def _joint_states(m: Any) -> SimpleNamespace:
         return [nan if v is None else float(v) for v in given]
 
     return SimpleNamespace(
-        header=SimpleNamespace(stamp=_stamp(m.timestamp), frame_id=""),
+        header=SimpleNamespace(stamp=_stamp(getattr(m, "timestamp", None)), frame_id=""),
         name=[j.name for j in joints],
         position=values("position"),
         velocity=values("velocity"),
