@@ -188,7 +188,7 @@ def _delay(scan: Scan, topic: str | None, offset_ns: int) -> float | None:
     if len(header) != len(log) or not len(log) or not header.any():
         return None
     if scan.recorder_clock is not None:  # which may run faster than that of the stamps
-        log = np.array([scan.recorder_clock.stamp_ns(t) for t in log.tolist()], dtype=np.int64)
+        log = scan.recorder_clock.stamps_of(log)
     return float(np.median(log - header - offset_ns)) * 1e-9
 
 

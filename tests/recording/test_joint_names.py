@@ -97,5 +97,8 @@ def test_frames_that_are_the_descriptions_own_get_no_prefix() -> None:
     own = links(DESCRIPTION)
     for frames in (own, own | {f"other/{link}" for link in own}, {"camera_link"}, set()):
         assert as_published(DESCRIPTION, frames) == (DESCRIPTION, "")
+    some = sorted(own)[:2]
+    frames = (own - set(some)) | {f"other/{link}" for link in some}
+    assert as_published(DESCRIPTION, frames) == (DESCRIPTION, "")
     two = {f"{prefix}/{link}" for prefix in ("a", "b") for link in own}
     assert as_published(DESCRIPTION, two)[1] == ""

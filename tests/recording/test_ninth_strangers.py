@@ -24,6 +24,7 @@ from dgeval.recording.splits import split_recordings
 from dgeval.recording.trials import open_trial
 from dgeval.verdict.log import log_of
 from google.protobuf import struct_pb2
+from mcap.writer import Writer
 from rosbags.typesys import get_types_from_msg
 from tests.recording.recorders import (
     COLOUR,
@@ -412,8 +413,12 @@ def test_a_recorder_that_runs_faster_is_no_clock_of_the_camera(
     tmp_path: Path, messages: list[Message]
 ) -> None:
     """Fails where a simulation at 0.4 of real time is told to move its pictures."""
-    first = min(m[0] for m in messages)
-    slow = [[first + round((m[0] - first) * 2.5) + 10**18, *m[1:]] for m in messages]
+    first, last = min(m[0] for m in messages), max(m[0] for m in messages)
+    states = [m for m in messages if m[1] == JOINTS]
+    # so that the middle one of them is early
+    late = [m for m in states if m[0] > (first + last) / 2][::2]
+    kept = [m for m in messages if m[1] != JOINTS or m[0] <= (first + last) / 2]
+    slow = [[first + round((m[0] - first) * 2.5) + 10**18, *m[1:]] for m in [*kept, *late]]
     trial = opened(write(tmp_path / "a.mcap", slow))
     assert names(trial) == []
     assert not any("stamps are" in note for note in trial.notes)
@@ -463,6 +468,22 @@ def test_pictures_in_a_form_that_is_not_read_are_named_as_that(
     assert "record raw images" in text
 
 
+def test_an_encoding_that_is_not_read_is_no_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("foxglove.CompressedImage", "flatbuffer", b"x")
+        channel = writer.register_channel("/colour", "flatbuffer", schema)
+        for k in range(3):
+            writer.add_message(channel, k, b"y", k)
+        writer.finish()
+    with pytest.raises(UnreadableError) as told:
+        opened(path)
+    assert "'flatbuffer' is not supported" in str(told.value)
+    assert "after damage" not in str(told.value)
+
+
 def test_a_foxglove_image_without_a_time_has_the_recorders() -> None:
     """Fails where a default that JSON leaves out is called damage."""
     text = b'{"frame_id": "c", "format": "jpeg", "data": "aGk="}'
@@ -497,7 +518,8 @@ def test_what_is_asked_of_a_trial_that_cant_be_opened_can_not_be_told(
     apart_ns = [m for m in copy.deepcopy(messages) if m[1] != EVENTS]
     for m in apart_ns:
         if m[1] == DEPTH:
-            m[3].header.stamp.sec += 5000
+            m[1] = "/camera/depth/image_rect_raw/compressedDepth"
+            m[3].header.frame_id = "depth_optical"  # which nothing places
     path = write(tmp_path / "a.mcap", apart_ns)
     refused = inspect_recording(path, Config())
     assert refused["replay"].startswith("refused")
