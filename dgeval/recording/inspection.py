@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dgeval.config import Config
-from dgeval.errors import DgevalError
+from dgeval.errors import DgevalError, UnreadableError
 from dgeval.recording.check import Check
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.containers.opening import open_container
@@ -35,7 +35,8 @@ def inspect_recording(
     UsageError.
     """
     specs = find_trials([path], config.roles.events)
-    first = specs[0]
+    closed = _that_cant_be_opened(specs)
+    first = next((spec for spec in specs if spec.id not in closed), specs[0])
     recording = first.recording
     opened = open_container(recording, first.parts)
     scanned = scan(opened, config.roles.events)
@@ -56,7 +57,7 @@ def inspect_recording(
         "bytes": sum(p.stat().st_size for p in files),
         "sha256": sha256_of(recording, first.parts),
         "checksums": opened.container.checksums,
-        "damage": [str(d) for d in opened.damage],
+        "damage": [*closed.values(), *(str(d) for d in opened.damage)],
         "topics": [_topic(scanned, name) for name in sorted(opened.topics)],
         "roles": _roles(scanned, roles, robot),
         "timing": _timing(scanned, roles, config),
@@ -64,7 +65,8 @@ def inspect_recording(
         "notes": [*(() if robot is None else robot.notes), *([robot_error] if robot_error else [])],
     }
     if len(specs) > 1:
-        out["notes"].insert(0, f"{len(specs)} trials; this is of the first, {first.id}")
+        of = "the first that can be opened" if closed else "the first"
+        out["notes"].insert(0, f"{len(specs)} trials; this is of {of}, {first.id}")
     trial = _trial(first, config)
     out["answers"] = _answers(out, roles, robot, trial)
     later: tuple[list[Check], list[str]] = ([], [])
@@ -103,6 +105,17 @@ def _replay_preview(
         }[trial.close.source]
     )
     return checks, f"{len(trial.pairs)} frames; {close}", [*trial.notes, *notes_later]
+
+
+def _that_cant_be_opened(specs: Sequence[TrialSpec]) -> dict[str, str]:
+    """By trial, why its recording can't be opened; nothing of a single one, which then says so."""
+    why: dict[str, str] = {}
+    for spec in specs if len(specs) > 1 else ():
+        try:
+            open_container(spec.recording, spec.parts)
+        except UnreadableError as error:
+            why[spec.id] = str(error)
+    return why
 
 
 def _topic(scanned: Scan, name: str) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,6 +22,7 @@ STEPS = 21  # postures from open to closed, at which the fingertips are compared
 FIRST_SHARE = 0.1
 NEARER_M = 1e-4  # m, by which the fingertips must come nearer; ours
 LEAST_LEVER_M = 0.01
+AHEAD = 0.4  # share of how far open fingertips stand out from the palm; ours
 LEAST_WAY_M = 1e-9  # m; points nearer than this are one
 BAR = 0.75  # share of the longest finger's reach, that a finger has at least; ours
 
@@ -202,10 +204,12 @@ class HandGeometry:
         """(3,) m, where the fingertips meet on the way to closed positions (k,), a little towards
         the palm.
 
-        Between the finger that stands alone and all others: a thumb is as good as four fingers.
+        Between the finger that stands alone and all others: a thumb is as good as four fingers. A
+        hand whose limits let it fold through its palm meets before that.
         """
         way = closed - self.open
         on = [self.open + share * way for share in np.linspace(0.0, 1.0, STEPS)]
+        on = list(itertools.takewhile(self._ahead_of_palm, on))
         nearest = min(on, key=self.apart)
         tips = self.tips_at(nearest)
         if len(tips) == 1:
@@ -215,6 +219,16 @@ class HandGeometry:
         away = middle - self.palm
         length = float(np.linalg.norm(away))
         return np.asarray(middle - away / max(length, 1e-9) * min(BEHIND_TIPS_M, length))
+
+    def _ahead_of_palm(self, positions: Array) -> bool:
+        """Whether the fingertips still stand out from the palm, by a share of what they do open; of
+        those that do open.
+        """
+        opened = self.tips_at(self.open) - self.palm
+        front = opened.mean(axis=0)
+        out = opened @ front > 0
+        now = (self.tips_at(positions) - self.palm) @ front
+        return bool((now >= AHEAD * (opened @ front))[out].all())
 
     def ahead(self, centre: Array) -> Array:
         """(3,) unit vector from the palm to the grasp's centre (3,) m; of two fingertips across the

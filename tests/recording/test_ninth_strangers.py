@@ -529,3 +529,18 @@ def test_what_is_asked_of_a_trial_that_cant_be_opened_can_not_be_told(
     assert can["where is the target in the camera, frame by frame"]
     assert can["what would the controller have commanded"]
     assert not can["which part of the robot's own belief is to blame"]  # it has no target's pose
+
+
+def test_a_folder_is_inspected_though_its_first_file_cant_be_read(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where one bad file hides the rest, or is passed over without a word."""
+    (tmp_path / "a.mcap").write_bytes(b"BZh91AY" + bytes(600))
+    write(tmp_path / "b.mcap", messages)
+    told = inspect_recording(tmp_path, Config())
+    assert told["file"] == str(tmp_path / "b.mcap")
+    assert "compressed as a whole with bzip2" in told["damage"][0]
+    assert told["notes"][0] == "2 trials; this is of the first that can be opened, b"
+    (tmp_path / "b.mcap").unlink()
+    with pytest.raises(UnreadableError, match="bzip2"):
+        inspect_recording(tmp_path, Config())

@@ -58,6 +58,30 @@ def test_two_jaws_come_to_an_object_across_the_way_that_they_close() -> None:
     assert hand.approach == pytest.approx([0, 0, 1], abs=1e-9)
 
 
+def curling(limit: float) -> DescribedHand:
+    """Two fingers of two links of 50 mm, 180 mm apart, that curl inwards up to a limit."""
+    chain, solids = [*ARM], {"flange": box("0.2 0.07 0.024", "0 0 0")}
+    for side, name in ((-1, "a"), (1, "b")):
+        axis, limits = f"0 {-side} 0", (-0.4, limit)
+        near, far = f"{name}_near", f"{name}_far"
+        root = f"{0.09 * side} 0 0.012"
+        chain.append(joint(f"{name}_1", "flange", near, "revolute", root, axis, limits))
+        chain.append(joint(f"{name}_2", near, far, "revolute", "0 0 0.05", axis, limits))
+        solids |= dict.fromkeys((near, far), box("0.016 0.016 0.05", "0 0 0.025"))
+    return made(robot(chain, solids), "flange", {"a_1": -0.3, "b_1": -0.3})
+
+
+@pytest.mark.parametrize("limit", [1.2, 1.9, 3.0])
+def test_fingers_whose_limits_fold_them_through_the_palm_meet_before_it(limit: float) -> None:
+    """Fails where the grasp's centre lies behind the palm, as an Allegro's did, and the approach
+    leads away from what is grasped.
+    """
+    hand = curling(limit)
+    assert hand.centre[2] > 0.02
+    assert np.abs(hand.centre[:2]).max() < 0.01
+    assert hand.approach == pytest.approx([0, 0, 1], abs=0.02)
+
+
 def test_a_users_centre_and_approach_are_in_the_palms_frame() -> None:
     """Fails where they are taken in the frame of the base, or the direction's length counts."""
     description = load_description(robot(GRIPPER, PADS), "a test", (), 0.01)

@@ -2426,6 +2426,18 @@ MUTANTS = [
         "self._approach = hand.T_hand_palm[:3, :3].T[:, 2]",
         "tests/perception/test_stages.py::test_beyond_the_grasp_is_along_the_hands_own_approach",
     ),
+    Mutant(
+        "dgeval/robots/hand_geometry.py",
+        "        on = list(itertools.takewhile(self._ahead_of_palm, on))\n",
+        "",
+        "tests/robots/test_described_hand.py::test_fingers_whose_limits_fold_them_through_the_palm_meet_before_it",
+    ),
+    Mutant(
+        "dgeval/recording/inspection.py",
+        '        "damage": [*closed.values(), *',
+        '        "damage": [*',
+        "tests/recording/test_ninth_strangers.py::test_a_folder_is_inspected_though_its_first_file_cant_be_read",
+    ),
 ]
 
 
