@@ -6,8 +6,6 @@ the same ones. A check that a team knows of is accepted by name (`checks.accept`
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,13 @@ from dgeval.config import ClockConfig, SyncConfig
 from dgeval.recording.camera_poses import far_from_palm
 from dgeval.recording.check import PART_CHECK, Check
 from dgeval.recording.choices import unplaced, unscored
+from dgeval.recording.clock_checks import (
+    clock_check,
+    clocks_apart,
+    clocks_drift,
+    move_camera,
+    odd_clocks,
+)
 from dgeval.recording.containers.container import lacks_its_log
 from dgeval.recording.containers.opening import missing_parts
 from dgeval.recording.contract import (
@@ -39,7 +44,6 @@ from dgeval.recording.frame_reader import FrameReader
 from dgeval.recording.frozen import frozen_streams
 from dgeval.recording.joint_checks import joint_faults
 from dgeval.recording.manifest import TrialSpec
-from dgeval.recording.messages import TF_TYPES
 from dgeval.recording.pairing import Window
 from dgeval.recording.robot import NAMELESS, RobotStates
 from dgeval.recording.roles import Roles
@@ -47,12 +51,9 @@ from dgeval.recording.scan import Scan
 from dgeval.recording.splits import unread_part
 from dgeval.recording.stamp_checks import stamp_checks
 
-MOST_CLOCKS_APART_S = 0.5  # s, between two roles' clocks; no transport takes that long; ours
 DRIFTS_S = 0.03  # s over a recording, that explain a scene that seems to move; ours
 BY_MOTION = ("depth_unit", "depth_offset", "intrinsics", "camera_poses", "clocks")  # checks by it
 MOSTLY = 0.5  # share of a topic's texts that must be events, to say so; ours
-SAME_S = 0.02  # s, within which topics have one clock; ours
-CLOCKS_TOLD_S = 0.08  # s, from which on a note says it; ours
 # of topics that may hold an outcome: words in their names, and their types
 RESULT_WORDS = ("success", "result", "outcome", "failed", "failure", "grasped")
 RESULT_TYPES = {f"std_msgs/msg/{kind}" for kind in ("Bool", "String", "Int32", "UInt8", "Int8")}
@@ -60,165 +61,6 @@ LEAST_POSES = 0.5  # share of the frames that must have a camera pose; ours
 BESIDE_NS = 500_000_000  # ns, by which a command may lie before or after all images; ours
 LONGEST_GAP_S = 1.0  # s, as long as velocity and model are carried on (`estimation`)
 MOST_WORDS = 6  # that a sentence lists
-
-
-def clocks_apart(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[str, float] | None:
-    """The topic of the robot whose delay to the recorder differs most from colour's, and by how
-    much colour's is larger, s; None where one of both has no stamps.
-    """
-    camera = _delay(scan, roles.colour, clock.colour.offset_ns)
-    robots = {
-        topic: d
-        for topic, offset in sorted(_robot_topics(scan, roles, clock).items())
-        if (d := _delay(scan, topic, offset)) is not None
-    }
-    if camera is None or not robots:
-        return None
-    topic, robot = max(robots.items(), key=lambda item: abs(item[1] - camera))
-    return topic, camera - robot
-
-
-def _robot_topics(scan: Scan, roles: Roles, clock: ClockConfig) -> dict[str, int]:
-    """The robot's topics that bear stamps, and the offset of each one's clock, ns."""
-    tf = [n for n, t in scan.opened.topics.items() if t.type in TF_TYPES and "static" not in n]
-    offsets = dict.fromkeys(tf, clock.camera_pose.offset_ns)
-    return offsets | dict.fromkeys(roles.joints, clock.hand_joints.offset_ns)
-
-
-def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | None, str]:
-    """Whether the camera's clock is that of the robot, by each one's delay to the recorder.
-
-    Also a note where it is off by less, as a slow transport is too; "" without.
-    """
-    found = clocks_apart(scan, roles, clock)
-    if found is None:
-        return None, ""
-    topic, apart = found
-    if abs(apart) <= CLOCKS_TOLD_S:
-        return None, _drift(scan, roles, clock, CLOCKS_TOLD_S)
-    odd = _odd_clocks(scan, roles, clock)
-    if odd:
-        return _of_robot(odd, clock, roles)
-    side = "behind" if apart > 0 else "ahead of"
-    what = f"the camera's stamps are {abs(apart):.2f} s {side} those of {topic}, by the recorder"
-    mend = f"set clock.colour.offset_ns={round(apart * 1e9) + clock.colour.offset_ns}"
-    camera = _delay(scan, roles.colour, clock.colour.offset_ns)
-    depth = _delay(scan, roles.depth, clock.depth.offset_ns)
-    assert camera is not None
-    robot = camera - apart
-    if depth is None or abs(depth - robot) > CLOCKS_TOLD_S:
-        depth_apart = apart if depth is None else depth - robot
-        mend += f" and clock.depth.offset_ns={round(depth_apart * 1e9) + clock.depth.offset_ns}"
-    if abs(apart) <= MOST_CLOCKS_APART_S:
-        return None, f"{what}; if that is no delay of the images: {mend}"
-    return Check("clocks", what, mend), ""
-
-
-def _odd_clocks(scan: Scan, roles: Roles, clock: ClockConfig) -> dict[str, float]:
-    """By topic of the robot whose clock is another one than the camera's and the recorder's, what
-    has to be added to its stamps, s; none where the camera's clock is the odd one, or may be.
-
-    Other topics of the robot agree with the camera; or the camera's delay to the recorder is one
-    that a transport has, and the robot's are not.
-    """
-    camera = _delay(scan, roles.colour, clock.colour.offset_ns)
-    if camera is None:
-        return {}
-    delays = {
-        topic: d
-        for topic, offset in sorted(_robot_topics(scan, roles, clock).items())
-        if (d := _delay(scan, topic, offset)) is not None
-    }
-    off = {t: d - camera for t, d in delays.items() if abs(d - camera) > CLOCKS_TOLD_S}
-    agree = len(off) < len(delays)
-    impossible = [t for t in off if not -CLOCKS_TOLD_S <= delays[t] <= MOST_CLOCKS_APART_S]
-    by_recorder = -CLOCKS_TOLD_S <= camera <= CLOCKS_TOLD_S and len(impossible) == len(off)
-    return off if agree or by_recorder else {}
-
-
-def _move_camera(topics: Iterable[str], scan: Scan, robot: RobotStates) -> bool:
-    """Whether one of the robot's topics tells where the camera is, so that the pictures can say
-    whether its stamps are right.
-    """
-    joints = robot.description.joints if robot.description is not None else {}
-    chain = robot.tree.ancestors(robot.camera_frame)
-    named = {name for f in chain if f in joints for name in (joints[f].name, joints[f].follows)}
-    return any(
-        topic not in scan.joints or any(named & s.positions.keys() for s in scan.joints[topic])
-        for topic in topics
-    )
-
-
-def _of_robot(odd: dict[str, float], clock: ClockConfig, roles: Roles) -> tuple[Check | None, str]:
-    """A check, or a note where a slow transport may be behind it, on clocks of the robot that are
-    not the camera's. odd: s, to be added to the stamps of each topic.
-    """
-    topic = max(odd, key=lambda t: abs(odd[t]))
-    side = "ahead of" if odd[topic] < 0 else "behind"
-    what = (
-        f"the stamps of {', '.join(odd)} are {abs(odd[topic]):.2f} s {side} those of the camera, "
-        "by the recorder"
-    )
-    joints = {t: s for t, s in odd.items() if t in roles.joints}
-    lines = []
-    if joints and len(joints) == len(roles.joints) and np.ptp(list(joints.values())) <= SAME_S:
-        ns = round(float(np.median(list(joints.values()))) * 1e9) + clock.hand_joints.offset_ns
-        lines.append(f"clock.hand_joints.offset_ns={ns}")
-    elif joints:
-        given = clock.topics | {
-            t: round(s * 1e9) + clock.topics.get(t, 0) for t, s in joints.items()
-        }
-        table = ", ".join(f"{json.dumps(t)} = {ns}" for t, ns in sorted(given.items()))
-        lines.append(f"--set 'clock.topics={{ {table} }}'")
-    others = [s for t, s in odd.items() if t not in joints]
-    if others:
-        ns = round(float(np.median(others)) * 1e9) + clock.camera_pose.offset_ns
-        lines.append(f"clock.camera_pose.offset_ns={ns}")
-    mend = " and ".join(line if line.startswith("--") else f"set {line}" for line in lines)
-    if 0 < odd[topic] <= MOST_CLOCKS_APART_S:
-        return None, f"{what}; if that is no delay of theirs: {mend}"
-    return Check("clocks", what, mend), ""
-
-
-def _delay(scan: Scan, topic: str | None, offset_ns: int) -> float | None:
-    """Median log time less header time of a topic, s; None where its stamps are not kept."""
-    if topic is None or topic not in scan.times:
-        return None
-    header, log = scan.times[topic].arrays()
-    if len(header) != len(log) or not len(log) or not header.any():
-        return None
-    if scan.recorder_clock is not None:  # which may run faster than that of the stamps
-        log = scan.recorder_clock.stamps_of(log)
-    return float(np.median(log - header - offset_ns)) * 1e-9
-
-
-def _drift(scan: Scan, roles: Roles, clock: ClockConfig, least_s: float) -> str:
-    """What is said where the delay to the recorder changes over the recording by more than least_s
-    for a topic of the robot against the camera's; "" without.
-    """
-
-    def change(topic: str) -> float:
-        header, log = scan.times[topic].arrays()
-        late = (log - header) * 1e-9
-        quarter = max(1, len(late) // 4)
-        return float(np.median(late[-quarter:]) - np.median(late[:quarter]))
-
-    stamped = [
-        n
-        for n, offset in sorted(_robot_topics(scan, roles, clock).items())
-        if _delay(scan, n, offset) is not None
-    ]
-    if roles.colour is None or _delay(scan, roles.colour, 0) is None or not stamped:
-        return ""
-    of_camera = change(roles.colour)
-    apart = {topic: change(topic) - of_camera for topic in stamped}
-    topic = max(apart, key=lambda t: abs(apart[t]))
-    if abs(apart[topic]) <= least_s:
-        return ""
-    return (
-        f"over the recording the stamps of {topic} move by {-apart[topic]:+.2f} s against those of "
-        "the camera, by the recorder: does one clock run faster, or do messages queue up?"
-    )
 
 
 def _by_a_drift(drift: str, checks: list[Check]) -> list[Check]:
@@ -246,8 +88,8 @@ def failed_checks(
     seen = approach if len(approach) >= SAMPLED else window.pairs
     clocks, note = clock_check(scan, roles, clock)
     apart = clocks_apart(scan, roles, clock)
-    odd = _odd_clocks(scan, roles, clock)
-    told = apart is not None and (not odd or _move_camera(odd, scan, robot))
+    odd = odd_clocks(scan, roles, clock)
+    told = apart is not None and (not odd or move_camera(odd, scan, robot))
     if clocks is not None and apart and told and stamps_fit(reader, seen, apart[1]):
         note = f"{clocks.what}; by what they show the stamps are right: they were logged late"
     elif clocks is not None:
@@ -287,7 +129,7 @@ def failed_checks(
     later = window.pairs[len(seen) :]
     encoding = scan.images[roles.depth].encoding
     against, not_quite = frame_checks(reader, seen, later, encoding != "32FC1", clock)
-    against = _by_a_drift(_drift(scan, roles, clock, DRIFTS_S), against)
+    against = _by_a_drift(clocks_drift(scan, roles, clock, DRIFTS_S), against)
     failed += [check for check in against if check.name not in {c.name for c in failed}]
     if reader.camera.doubt:
         mend = "if so --set 'calibration.T_colour_depth=[0,0,0,0,0,0,1]', else the transform"

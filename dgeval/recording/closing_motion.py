@@ -131,7 +131,7 @@ def _apart(
         first = max(bisect_right(times, start_ns) - 1, 0)
         around = times[first : bisect_left(times, end_ns + 1) + 1]
         pairs.extend(pairwise(around))
-    return max(pairs, key=lambda pair: pair[1] - pair[0])
+    return max(pairs, key=lambda pair: (pair[1] - pair[0], -pair[0]))
 
 
 def opens_after(robot: RobotStates, t_ns: int, last_ns: int) -> bool:

@@ -16,7 +16,6 @@ from dgeval.geometry import Intrinsics
 from dgeval.recording.camera import Camera, camera_of
 from dgeval.recording.check import Check
 from dgeval.recording.checks import (
-    clock_check,
     event_checks,
     events_elsewhere,
     failed_checks,
@@ -30,6 +29,7 @@ from dgeval.recording.choices import (
     choice_span,
     recorded_choices,
 )
+from dgeval.recording.clock_checks import clock_check
 from dgeval.recording.closes import NOT_BY_THESE, CloseKnown, close_of, gripper_tracks
 from dgeval.recording.containers.container import Opened, sha256_of
 from dgeval.recording.containers.opening import open_container

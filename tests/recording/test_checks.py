@@ -13,7 +13,8 @@ from dgeval.config import Config, RolesConfig
 from dgeval.geometry import Intrinsics
 from dgeval.recording.alignment import Alignment
 from dgeval.recording.cameras import choose_camera, intrinsics_of
-from dgeval.recording.checks import clock_check, failed_checks
+from dgeval.recording.checks import failed_checks
+from dgeval.recording.clock_checks import clock_check
 from dgeval.recording.clocks import StampFaults, clean_stamps
 from dgeval.recording.messages import CameraModel
 from dgeval.recording.pairing import Pair, Window

@@ -2337,19 +2337,19 @@ MUTANTS = [
         "tests/recording/test_ninth_strangers.py::test_events_whose_times_are_no_times_of_the_trial_place_no_close",
     ),
     Mutant(
-        "dgeval/recording/checks.py",
+        "dgeval/recording/clock_checks.py",
         "    return off if agree or by_recorder else {}",
         "    return off if agree else {}",
         "tests/recording/test_ninth_strangers.py::test_the_clock_that_is_odd_is_the_one_to_set",
     ),
     Mutant(
         "dgeval/recording/checks.py",
-        "told = apart is not None and (not odd or _move_camera(odd, scan, robot))",
+        "told = apart is not None and (not odd or move_camera(odd, scan, robot))",
         "told = apart is not None",
         "tests/recording/test_ninth_strangers.py::test_the_clock_that_is_odd_is_the_one_to_set",
     ),
     Mutant(
-        "dgeval/recording/checks.py",
+        "dgeval/recording/clock_checks.py",
         "    if scan.recorder_clock is not None:  # which may run faster",
         "    if False:  # which may run faster",
         "tests/recording/test_ninth_strangers.py::test_a_recorder_that_runs_faster_is_no_clock_of_the_camera",
