@@ -252,6 +252,13 @@ def _intrinsics(
     if not is_rectified:
         lens, note = lens_of(model, used)
         notes += [note] if note else []
+    unusable = [
+        n for n in sorted(scan.first_undecodable) if scan.opened.topics[n].type == CAMERA_INFO
+    ]
+    if unusable:
+        notes.append(
+            f"{', '.join(unusable)} can't be used: the intrinsics are those of {info_topic}"
+        )
     n_others = scan.camera_changes.get(info_topic or "", 0)
     if n_others:
         notes.append(

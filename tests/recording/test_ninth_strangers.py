@@ -544,3 +544,18 @@ def test_a_folder_is_inspected_though_its_first_file_cant_be_read(
     (tmp_path / "b.mcap").unlink()
     with pytest.raises(UnreadableError, match="bzip2"):
         inspect_recording(tmp_path, Config())
+
+
+def test_whose_matrix_is_used_for_a_camera_without_one_is_said(
+    tmp_path: Path, messages: list[Message], original: list[Any]
+) -> None:
+    """Fails where an uncalibrated colour camera takes the aligned depth's matrix without a word."""
+    aligned = "/camera/aligned_depth_to_color/camera_info"
+    listed = [m for m in messages if m[1] != INFO]
+    for m in messages:
+        if m[1] == INFO:
+            none = stamped(m[3], k=np.zeros(9), p=np.zeros(12))
+            listed += [[m[0], INFO, m[2], none], [m[0], aligned, m[2], m[3]]]
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert f"{INFO} can't be used: the intrinsics are those of {aligned}" in trial.notes
+    assert contents(trial) == original
