@@ -18,6 +18,7 @@ Tracking = Literal["tracked", "lost", "not_started"]
 Fact = Literal["put_back", "free_pose"]
 CLASSES: tuple[FailureClass, ...] = ("imprecise_pose", "collision", "timing")
 NEAR_M = 0.08  # m from hand to object, within which there was an attempt to grasp it
+NO_CLOSE = "the hand does not close in this log"  # which may begin after a close
 KNOWN_SHARE = 0.9  # of the trial, in which the hand must be known to say what it never did
 
 
@@ -38,9 +39,15 @@ def outcome_without_close(
     moved. Near and never closed is a failure; what is not known is no answer.
     """
     if pose_known < KNOWN_SHARE:
-        return "unknown", f"the hand never closed, and its pose is known in {pose_known:.0%} only"
+        return (
+            "unknown",
+            f"the hand does not close in this log, and its pose is known in {pose_known:.0%} only",
+        )
     if nearest_m is None and moved:
-        return "unknown", "the hand never closed, and how near it came to the target is not known"
+        return (
+            "unknown",
+            "the hand does not close in this log, and how near it came to the target is not known",
+        )
     if nearest_m is not None and nearest_m < NEAR_M:
         within = f"{NEAR_M * 100:.0f} cm"
         return "failure", f"the hand came within {within} of the object and never closed"

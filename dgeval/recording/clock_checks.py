@@ -134,6 +134,8 @@ def _of_robot(odd: dict[str, float], clock: ClockConfig, roles: Roles) -> tuple[
     mend = " and ".join(line if line.startswith("--") else f"set {line}" for line in lines)
     if 0 < odd[topic] <= MOST_CLOCKS_APART_S:
         return None, f"{what}; if that is no delay of theirs: {mend}"
+    if odd[topic] > 0:
+        mend += "; if they were logged late and stamped right: --set 'checks.accept=[\"clocks\"]'"
     return Check("clocks", what, mend), ""
 
 

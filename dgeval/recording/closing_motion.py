@@ -36,6 +36,7 @@ RISING_M = 0.005  # m, from which on it is rising
 OVER_NOISE = 3.0  # standard deviations, by which a motion of the fingers stands out; ours
 MOST_HALF = 25  # samples on each side, over which fingers are smoothed at most; ours
 MOST_GAP_NS = 500_000_000  # ns between states, in which a close can't be placed; ours
+EDGE_NS = 50_000_000  # ns, beside a hole's edge, where a motion in it seems to begin; ours
 SEEN = 0.9  # share of the trial in which the fingers must be known, to say that they never closed
 
 
@@ -79,6 +80,11 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
     if float(np.ptp(width)) < LEAST_M:
         return NoClose(", and the fingers hardly move", seen)
     motions = _closing_motions(times, width)
+    k = int(np.argmax(np.diff(times)))
+    if not motions and times[k + 1] - times[k] > MOST_GAP_NS:
+        a, b = ((int(t) - first_ns) * 1e-9 for t in times[k : k + 2])
+        why = f", and between {a:+.2f} and {b:+.2f} s no states of the fingers are recorded"
+        return NoClose(why, False)
     if not motions:
         return NoClose(", and the fingers never close", seen)
     attempts: list[tuple[int, int, int]] = []  # close, rest and lift, the last first
@@ -94,13 +100,13 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
             attempts.append((start, end, lift))
     if attempts:
         start, rest, _ = attempts[0]
-        before, after = _apart(robot, tips, start, rest)
+        before, after = _apart(robot, tips, start - EDGE_NS, rest)
         if after - before > MOST_GAP_NS:
             a, b = ((t - first_ns) * 1e-9 for t in (before, after))
             why = f"; fingers close between {a:+.2f} and {b:+.2f} s, where no states are recorded"
             return NoClose(why, False, before)
         earlier = tuple(start for start, *_ in attempts[:0:-1])
-        before, after = _apart(robot, tips, start, start)
+        before, after = _apart(robot, tips, start - EDGE_NS, start + EDGE_NS)
         return Inferred(*attempts[0], (after - before) * 1e-9, earlier)
     at = (motions[-1][0] - first_ns) * 1e-9
     rises = lift_after(robot, *motions[-1], last_ns) is not None

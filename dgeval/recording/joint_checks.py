@@ -16,6 +16,9 @@ MOVES_FIXED = 0.02  # rad or m, by which a joint moves that the description says
 OUTSIDE = 0.5  # share of the samples that are outside; ours
 
 
+TWO_VALUES = 1e-3  # rad or m, between two states that are one
+
+
 def joint_faults(robot: RobotStates) -> list[tuple[str, str]]:
     """What is wrong with the joint states, and what mends it."""
     out = []
@@ -30,6 +33,8 @@ def joint_faults(robot: RobotStates) -> list[tuple[str, str]]:
             mend = "record the topic with one program alone"
             out.append((f"{what}: do two programs publish it?", mend))
             break  # the others of that topic do so too
+    if twice := _two_values(robot):
+        out.append(twice)
     if robot.description is None:
         return out
     for joint in sorted(robot.description.joints.values(), key=lambda j: j.name):
@@ -53,3 +58,22 @@ def joint_faults(robot: RobotStates) -> list[tuple[str, str]]:
             out.append((what, mend))
             break
     return out
+
+
+def _two_values(robot: RobotStates) -> tuple[str, str] | None:
+    """What is wrong where states with one stamp differ, and what mends it; None without."""
+    first: dict[str, float] = {}
+    apart: dict[str, float] = {}
+    at_ns = 0
+    for sample in sorted(robot.samples, key=lambda s: s.t_ns):
+        if sample.t_ns != at_ns:
+            at_ns, first = sample.t_ns, {}
+        for name, value in sample.positions.items():
+            known = first.setdefault(name, value)
+            if abs(known - value) > TWO_VALUES:
+                apart[name] = max(apart.get(name, 0.0), abs(known - value))
+    if not apart:
+        return None
+    name = max(sorted(apart), key=lambda n: apart[n])
+    what = f"the joint {name} has two positions under one stamp, up to {apart[name]:.3g} apart"
+    return f"{what}: the first counts", "record the topic once, with one program alone"

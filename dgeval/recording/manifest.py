@@ -22,7 +22,7 @@ from dgeval.recording.contract import (
 )
 from dgeval.recording.copies import holds_a_recording, repeats
 from dgeval.recording.events import heard_once, pressed_once
-from dgeval.recording.messages import Event, event_of, event_text
+from dgeval.recording.messages import Event, read_event
 from dgeval.recording.pauses import between_pauses
 from dgeval.recording.splits import split_recordings
 
@@ -216,7 +216,7 @@ def _of_recording(
     if topic in opened.topics:
         for message in opened.messages(frozenset({topic})):
             try:
-                event = event_of(event_text(opened.decode(message)), message.log_ns)
+                event = read_event(opened.decode(message), message.log_ns)
             except (ValueError, UndecodableError):
                 continue  # counted as undecodable when the trial is read
             if event.kind in (TRIAL_START_EVENT, TRIAL_END_EVENT):

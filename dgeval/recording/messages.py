@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -327,12 +327,34 @@ def event_text(message: Any) -> str:
     )
 
 
+def read_event(message: Any, log_ns: int) -> Event:
+    """An event of a decoded message: at its own stamp where it bears one, and says no time itself.
+
+    ValueError where it is none.
+    """
+    event = event_of(event_text(message), log_ns)
+    at_ns = _own_stamp_ns(message) if event.is_log_time else 0
+    return replace(event, t_ns=at_ns, is_log_time=False) if at_ns else event
+
+
+def _own_stamp_ns(message: Any) -> int:
+    """The stamp of a structure or of a line of a log, ns; 0 without one."""
+    stamp = getattr(getattr(message, "header", message), "stamp", None)
+    stamp = getattr(message, "timestamp", None) if stamp is None else stamp
+    for sec, nanosec in (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos")):
+        if hasattr(stamp, sec) and hasattr(stamp, nanosec):
+            return int(getattr(stamp, sec)) * 1_000_000_000 + int(getattr(stamp, nanosec))
+    return 0
+
+
 def _fields(message: Any) -> dict[str, Any]:
-    """The fields of a decoded message, by name."""
+    """The fields of a decoded message, by name; texts that are empty, as by default, are none."""
     described = getattr(message, "DESCRIPTOR", None)  # protobuf's
     if described is not None:
-        return {field.name: getattr(message, field.name) for field in described.fields}
-    return {k: v for k, v in getattr(message, "__dict__", {}).items() if not k.startswith("_")}
+        named = {field.name: getattr(message, field.name) for field in described.fields}
+    else:
+        named = {k: v for k, v in getattr(message, "__dict__", {}).items() if not k.startswith("_")}
+    return {k: v for k, v in named.items() if not (isinstance(v, str) and not v)}
 
 
 def event_of(text: str, log_ns: int) -> Event:

@@ -65,6 +65,7 @@ from dgeval.recording.messages import (
     header_stamp_ns,
     joints_of,
     poses_of,
+    read_event,
     stamp_ns,
     stamped_poses_of,
 )
@@ -275,9 +276,10 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             elif topic.type == STREAM_POSE_TYPE and (stream_at := stream_of(message.topic)):
                 streams[stream_at] = pose_of_transform(opened.decode(message))
             elif message.topic == wanted_events:
-                text = event_text(opened.decode(message))
+                decoded = opened.decode(message)
+                text = event_text(decoded)
                 try:
-                    out.events.append(event_of(text, message.log_ns))
+                    out.events.append(read_event(decoded, message.log_ns))
                 except ValueError:
                     out.not_events.append(text)
             elif message.topic.endswith(ROBOT_DESCRIPTION[1:]):

@@ -18,7 +18,7 @@ BEFORE_AFTER_S = 1.0  # s of messages on each side of a step; a burst of late on
 LEAST_BESIDE = 5  # messages on each side
 MOST_STEPS = 100  # that are looked at; a stream with more has no clock that was set once
 MOST_DROPPED = 0.1  # share of a stream whose stamps can't be used; ours
-TWICE = 0.45  # share of a stream's stamps that another one has, where all come twice; ours
+TWICE = 0.9  # share of those that can't be used, that bear the stamp of another one; ours
 # states, and share of the mean step between their stamps, below which most steps are bursts; ours
 LEAST_IN_BURSTS, BURST = 50, 0.1
 # ns, under which all fractions of a second are those of lost digits, stamps and s that must show it
@@ -92,7 +92,7 @@ def _lost_fractions(header_ns: Ints, log_ns: Ints) -> bool:
 def _dropped(role: str, faults: StampFaults, header_ns: Ints) -> Check:
     """That too many images of a role can't be used, by their stamps (n,) ns."""
     count = len(header_ns)
-    if faults.duplicate >= TWICE * count and faults.backward <= MOST_DROPPED * count:
+    if faults.duplicate >= TWICE * faults.dropped and faults.backward <= MOST_DROPPED * count:
         what = f"{faults.duplicate} of {count} {role} images bear another one's stamp, and are not "
         mend = "did two recorders write, or does the driver send each picture twice?"
         return Check("stamps", what + "used", mend)

@@ -156,7 +156,7 @@ def _without_close(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     if outcome == "unknown":
         return Ended(outcome, None, why)
     if outcome == "failure" and (doubt := _doubt_without_close(log, hindsight)):
-        return Ended("unknown", None, f"{why}, but {doubt}")
+        return Ended("unknown", None, doubt)
     return Ended(outcome, "inferred", why, 0.0 if outcome == "failure" else None)
 
 
@@ -171,8 +171,9 @@ def _doubt_without_close(log: TrialLog, hindsight: Hindsight | None) -> str:
         near = hand_distance(log.robot, log.first_ns, placed)
         if near is not None and near[0] < NEAR_M:
             return (
-                "it is so from the first frame on: does the log begin after the close? Record the "
-                "approach, or an operator's word is: --label success|failure"
+                "the hand is at the object from the first frame on and does not close: does the "
+                "log begin after the close? Record the approach, or an operator's word is: "
+                "--label success|failure"
             )
     if not _same_throughout(log):
         return ""
@@ -182,8 +183,9 @@ def _doubt_without_close(log: TrialLog, hindsight: Hindsight | None) -> str:
     if not heights or max(heights[lowest:]) - heights[lowest] <= CARRIED_M:
         return ""
     return (
-        "then it rises, and the states of its fingers are the same to the last digit throughout: "
-        "does their driver hang? If it closed: --close TIME; if not: --label failure"
+        "the hand came to the object and rose, and the states of its fingers are the same to the "
+        "last digit throughout: does their driver hang? If it closed: --close TIME; if not: "
+        "--label failure"
     )
 
 

@@ -86,7 +86,7 @@ def test_a_close_is_as_uncertain_as_its_fingers_states(
     assert made.period_s == pytest.approx(told)
 
 
-@pytest.mark.parametrize("hole", [(1.9, 2.6), (2.2, 2.9)])
+@pytest.mark.parametrize("hole", [(1.9, 2.6), (2.2, 2.9), (1.4, 1.98)])
 def test_a_close_in_a_hole_of_the_states_is_not_placed(
     monkeypatch: pytest.MonkeyPatch, hole: tuple[float, float]
 ) -> None:
@@ -97,6 +97,20 @@ def test_a_close_in_a_hole_of_the_states_is_not_placed(
     assert isinstance(made, NoClose)
     assert not made.fingers_seen
     assert "where no states are recorded" in made.why
+
+
+def test_fingers_that_nobody_saw_for_a_while_may_have_closed_then(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Fails where fingers of which a part of the log knows nothing "never close"."""
+    made = robot(monkeypatch, [(0, OPEN), (5, OPEN)], [(0, LOW), (3, LOW), (3.8, HIGH)])
+    times = np.concatenate([np.arange(0, 2.0, 0.01), np.arange(3.2, 5.0, 0.01)])
+    apart = np.where(times < 2.5, SHUT, OPEN)  # several fingers: closed they may be farther apart
+    monkeypatch.setattr(closing_motion, "_width", lambda *_: ((times * S).astype(np.int64), apart))
+    told = closing_motion.closing_motion(made, 0, int(LENGTH_S * S))
+    assert isinstance(told, NoClose)
+    assert "between +1.99 and +3.20 s no states of the fingers are recorded" in told.why
+    assert not told.fingers_seen
 
 
 def test_a_lift_right_behind_a_slow_close(monkeypatch: pytest.MonkeyPatch) -> None:
