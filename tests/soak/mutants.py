@@ -2438,6 +2438,42 @@ MUTANTS = [
         '        "damage": [*',
         "tests/recording/test_ninth_strangers.py::test_a_folder_is_inspected_though_its_first_file_cant_be_read",
     ),
+    Mutant(
+        "dgeval/recording/closing_motion.py",
+        "_apart(robot, tips, start - EDGE_NS, rest)",
+        "_apart(robot, tips, start, rest)",
+        "tests/recording/test_closes.py::test_a_close_in_a_hole_of_the_states_is_not_placed",
+    ),
+    Mutant(
+        "dgeval/recording/closing_motion.py",
+        "    if not motions and times[k + 1] - times[k] > MOST_GAP_NS:",
+        "    if False:",
+        "tests/recording/test_closes.py::test_fingers_that_nobody_saw_for_a_while_may_have_closed_then",
+    ),
+    Mutant(
+        "dgeval/recording/messages.py",
+        "    at_ns = _own_stamp_ns(message) if event.is_log_time else 0",
+        "    at_ns = 0",
+        "tests/recording/test_ninth_strangers.py::test_an_event_is_when_its_message_says",
+    ),
+    Mutant(
+        "dgeval/recording/joint_checks.py",
+        "if abs(known - value) > TWO_VALUES:",
+        "if False:",
+        "tests/recording/test_ninth_strangers.py::test_copies_that_are_not_alike_are_told",
+    ),
+    Mutant(
+        "dgeval/recording/stamp_checks.py",
+        "faults.duplicate >= TWICE * faults.dropped",
+        "faults.duplicate >= 2 * faults.dropped",
+        "tests/recording/test_ninth_strangers.py::test_copies_that_are_not_alike_are_told",
+    ),
+    Mutant(
+        "dgeval/recording/camera.py",
+        "    if unusable:\n",
+        "    if False:\n",
+        "tests/recording/test_ninth_strangers.py::test_whose_matrix_is_used_for_a_camera_without_one_is_said",
+    ),
 ]
 
 
