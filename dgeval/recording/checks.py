@@ -98,7 +98,8 @@ def failed_checks(
     failed += [*_gap(window), *_ends_early(scan, roles, window)]
     if clocks is None:
         failed += _states_missing(robot, window)
-    failed += [Check("joints", what, mend) for what, mend in joint_faults(robot)]
+    is_stamped = all(scan.times[topic].arrays()[0].any() for topic in roles.joints)
+    failed += [Check("joints", what, mend) for what, mend in joint_faults(robot, is_stamped)]
     other = other_hand(robot)
     if other is not None:
         mend = "is it another hand's description? Give the right one (calibration.description)"

@@ -14,13 +14,14 @@ BEYOND = 0.5  # share of a joint's range, and
 BEYOND_LEAST = {"revolute": 0.2, "prismatic": 0.05}  # rad or m, by which it may be outside of it
 MOVES_FIXED = 0.02  # rad or m, by which a joint moves that the description says is fixed; ours
 OUTSIDE = 0.5  # share of the samples that are outside; ours
-
-
 TWO_VALUES = 1e-3  # rad or m, between two states that are one
 
 
-def joint_faults(robot: RobotStates) -> list[tuple[str, str]]:
-    """What is wrong with the joint states, and what mends it."""
+def joint_faults(robot: RobotStates, is_stamped: bool = True) -> list[tuple[str, str]]:
+    """What is wrong with the joint states, and what mends it.
+
+    is_stamped: whether they bear stamps; else several may have one of the recorder's times.
+    """
     out = []
     for name, values in sorted(robot.joints.values.items()):
         q = np.array(values)
@@ -33,7 +34,7 @@ def joint_faults(robot: RobotStates) -> list[tuple[str, str]]:
             mend = "record the topic with one program alone"
             out.append((f"{what}: do two programs publish it?", mend))
             break  # the others of that topic do so too
-    if twice := _two_values(robot):
+    if is_stamped and (twice := _two_values(robot)):
         out.append(twice)
     if robot.description is None:
         return out

@@ -90,6 +90,7 @@ def checks_of(
         changed=(),
         hand_links=(),
         joints=JointTrack(),
+        samples=(),
         description=None,
         T_base_camera=lambda t: np.eye(4) if t < known * 33_000_000 else None,
     )
