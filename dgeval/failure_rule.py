@@ -39,15 +39,9 @@ def outcome_without_close(
     moved. Near and never closed is a failure; what is not known is no answer.
     """
     if pose_known < KNOWN_SHARE:
-        return (
-            "unknown",
-            f"the hand does not close in this log, and its pose is known in {pose_known:.0%} only",
-        )
+        return "unknown", f"{NO_CLOSE}, and its pose is known in {pose_known:.0%} only"
     if nearest_m is None and moved:
-        return (
-            "unknown",
-            "the hand does not close in this log, and how near it came to the target is not known",
-        )
+        return "unknown", f"{NO_CLOSE}, and how near it came to the target is not known"
     if nearest_m is not None and nearest_m < NEAR_M:
         within = f"{NEAR_M * 100:.0f} cm"
         return "failure", f"the hand came within {within} of the object and never closed"

@@ -350,7 +350,8 @@ def part_check(recording: Path, parts: tuple[Path, ...] = ()) -> list[Check]:
     if gone:
         what = f"metadata.yaml lists {', '.join(gone)}, which is not in the folder"
         return [Check(PART_CHECK, what, "copy the whole folder")]
-    files = sorted(recording.glob("*.db3")) if recording.is_dir() else [*(parts or [recording])]
+    given = parts or (recording,)
+    files = sorted(recording.glob("*.db3")) if recording.is_dir() else given
     for file in files:
         if lacks_its_log(file):
             what = (
@@ -359,8 +360,8 @@ def part_check(recording: Path, parts: tuple[Path, ...] = ()) -> list[Check]:
             )
             mend = "copy the whole folder; if the recorder was killed and the -wal is lost, so "
             return [Check(PART_CHECK, what, mend + "are the last messages")]
-    beside = [unread_part(file, parts) for file in dict.fromkeys([*parts[:1], *parts[-1:]])]
-    other = next((file for file in beside or [unread_part(recording)] if file is not None), None)
+    ends = dict.fromkeys((given[0], given[-1]))
+    other = next((part for end in ends if (part := unread_part(end, given))), None)
     if other is None:
         return []
     return [

@@ -24,22 +24,20 @@ def clocks_apart(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[str, flo
     much colour's is larger, s; None where one of both has no stamps.
     """
     camera = _delay(scan, roles.colour, clock.colour.offset_ns)
-    robots = {
-        topic: d
-        for topic, offset in sorted(_robot_topics(scan, roles, clock).items())
-        if (d := _delay(scan, topic, offset)) is not None
-    }
+    robots = _robot_delays(scan, roles, clock)
     if camera is None or not robots:
         return None
     topic, robot = max(robots.items(), key=lambda item: abs(item[1] - camera))
     return topic, camera - robot
 
 
-def _robot_topics(scan: Scan, roles: Roles, clock: ClockConfig) -> dict[str, int]:
-    """The robot's topics that bear stamps, and the offset of each one's clock, ns."""
+def _robot_delays(scan: Scan, roles: Roles, clock: ClockConfig) -> dict[str, float]:
+    """By topic of the robot that bears stamps, in name order, its delay to the recorder, s."""
     tf = [n for n, t in scan.opened.topics.items() if t.type in TF_TYPES and "static" not in n]
     offsets = dict.fromkeys(tf, clock.camera_pose.offset_ns)
-    return offsets | dict.fromkeys(roles.joints, clock.hand_joints.offset_ns)
+    offsets |= dict.fromkeys(roles.joints, clock.hand_joints.offset_ns)
+    found = {topic: _delay(scan, topic, offset) for topic, offset in sorted(offsets.items())}
+    return {topic: delay for topic, delay in found.items() if delay is not None}
 
 
 def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | None, str]:
@@ -81,11 +79,7 @@ def odd_clocks(scan: Scan, roles: Roles, clock: ClockConfig) -> dict[str, float]
     camera = _delay(scan, roles.colour, clock.colour.offset_ns)
     if camera is None:
         return {}
-    delays = {
-        topic: d
-        for topic, offset in sorted(_robot_topics(scan, roles, clock).items())
-        if (d := _delay(scan, topic, offset)) is not None
-    }
+    delays = _robot_delays(scan, roles, clock)
     off = {t: d - camera for t, d in delays.items() if abs(d - camera) > CLOCKS_TOLD_S}
     agree = len(off) < len(delays)
     impossible = [t for t in off if not -CLOCKS_TOLD_S <= delays[t] <= MOST_CLOCKS_APART_S]
@@ -162,11 +156,7 @@ def clocks_drift(scan: Scan, roles: Roles, clock: ClockConfig, least_s: float) -
         quarter = max(1, len(late) // 4)
         return float(np.median(late[-quarter:]) - np.median(late[:quarter]))
 
-    stamped = [
-        n
-        for n, offset in sorted(_robot_topics(scan, roles, clock).items())
-        if _delay(scan, n, offset) is not None
-    ]
+    stamped = _robot_delays(scan, roles, clock)
     if roles.colour is None or _delay(scan, roles.colour, 0) is None or not stamped:
         return ""
     of_camera = change(roles.colour)

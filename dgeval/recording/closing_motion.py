@@ -80,12 +80,12 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
     if float(np.ptp(width)) < LEAST_M:
         return NoClose(", and the fingers hardly move", seen)
     motions = _closing_motions(times, width)
-    k = int(np.argmax(np.diff(times)))
-    if not motions and times[k + 1] - times[k] > MOST_GAP_NS:
-        a, b = ((int(t) - first_ns) * 1e-9 for t in times[k : k + 2])
-        why = f", and between {a:+.2f} and {b:+.2f} s no states of the fingers are recorded"
-        return NoClose(why, False)
     if not motions:
+        k = int(np.argmax(np.diff(times)))
+        if times[k + 1] - times[k] > MOST_GAP_NS:
+            a, b = ((int(t) - first_ns) * 1e-9 for t in times[k : k + 2])
+            why = f", and between {a:+.2f} and {b:+.2f} s no states of the fingers are recorded"
+            return NoClose(why, False)
         return NoClose(", and the fingers never close", seen)
     attempts: list[tuple[int, int, int]] = []  # close, rest and lift, the last first
     for k in reversed(range(len(motions))):

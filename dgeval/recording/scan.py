@@ -277,11 +277,10 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 streams[stream_at] = pose_of_transform(opened.decode(message))
             elif message.topic == wanted_events:
                 decoded = opened.decode(message)
-                text = event_text(decoded)
                 try:
                     out.events.append(read_event(decoded, message.log_ns))
                 except ValueError:
-                    out.not_events.append(text)
+                    out.not_events.append(event_text(decoded))  # without a text it is damage
             elif message.topic.endswith(ROBOT_DESCRIPTION[1:]):
                 urdf = getattr(opened.decode(message), "data", None)
                 if isinstance(urdf, str):
@@ -357,10 +356,12 @@ def add_to_stamps(found: Scan, offsets: Mapping[str, int]) -> None:
             )
         times = found.times[topic]
         times.header_ns = [t_ns + offset_ns for t_ns in times.header_ns]
-        for of_topic in (found.joints, found.poses):
-            if topic in of_topic:
-                moved = [replace(s, t_ns=s.t_ns + offset_ns) for s in of_topic[topic]]
-                of_topic[topic] = moved  # type: ignore[assignment]
+        if topic in found.joints:
+            samples = found.joints[topic]
+            found.joints[topic] = [replace(s, t_ns=s.t_ns + offset_ns) for s in samples]
+        if topic in found.poses:
+            poses = found.poses[topic]
+            found.poses[topic] = [replace(p, t_ns=p.t_ns + offset_ns) for p in poses]
 
 
 def _use_frame_times(found: Scan, frame_times: dict[str, dict[int, int]]) -> None:
