@@ -96,6 +96,7 @@ class McapContainer:
         self._chunks: list[_Chunk] | None = None
         self._unchunked = False
         self._zero_crcs = False
+        self._checked: set[int] = set()  # offsets of chunks whose CRC was right
         try:
             counts = self._read_summary()
         except BROKEN as error:
@@ -299,9 +300,11 @@ class McapContainer:
         if chunk.uncompressed_crc == 0:
             self._zero_crcs = True
         data = _expand(chunk)
-        found = zlib.crc32(data)
-        if chunk.uncompressed_crc not in (0, found):
-            raise CRCValidationError(chunk.uncompressed_crc, found, chunk)
+        if chunk.uncompressed_crc != 0 and offset not in self._checked:
+            found = zlib.crc32(data)
+            if chunk.uncompressed_crc != found:
+                raise CRCValidationError(chunk.uncompressed_crc, found, chunk)
+            self._checked.add(offset)
         out: list[RawMessage] = []
         for kind, start, end in _records(data):
             if kind == Opcode.MESSAGE:
@@ -423,8 +426,11 @@ def _expand(chunk: mcap.records.Chunk) -> bytes:
         stated = zstandard.frame_content_size(chunk.data)
         if stated not in (-1, size):
             raise mcap.exceptions.McapError(f"a chunk of {size} bytes holds a frame of {stated}")
-        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
-            data = reader.read(size + 1)
+        if stated == size:
+            data = zstandard.ZstdDecompressor().decompress(chunk.data)
+        else:
+            with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+                data = reader.read(size + 1)
     elif chunk.compression == "lz4":
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
     else:

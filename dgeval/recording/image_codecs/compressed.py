@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 
+from dgeval.recording.image_codecs.depth_png import PNG_START, decoded
 from dgeval.recording.image_codecs.pixels import Pixels, eight_bit
 
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
-PNG_START = b"\x89PNG\r\n\x1a\n"
 WEBP, AVIF = b"WEBP", b"ftypavif"  # from the 8th and from the 4th byte on
 
 
@@ -34,7 +33,7 @@ def decode(message: Any) -> Pixels:
     elif not (data.startswith(PNG_START) or data[8:12] == WEBP or data[4:12] == AVIF):
         what = "the bytes are neither JPEG, PNG, WebP nor AVIF"
         raise ValueError(f"format {message.format!r}: {what}")
-    array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    array = decoded(data)
     if array is None:
         raise ValueError(f"format {message.format!r}: the image can't be decoded")
     if array.ndim == 2:

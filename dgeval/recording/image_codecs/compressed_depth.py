@@ -9,12 +9,11 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from dgeval.recording.image_codecs import rvl
-from dgeval.recording.image_codecs.compressed import PNG_START
+from dgeval.recording.image_codecs.depth_png import PNG_START, decoded
 from dgeval.recording.image_codecs.pixels import Pixels
 
 MOST_PIXELS = 16384  # a side; a larger claim is damage
@@ -47,7 +46,7 @@ def decode(message: Any) -> Pixels:
 
 
 def _png(stated: str, data: bytes, start: int) -> NDArray[np.uint16]:
-    codes = cv2.imdecode(np.frombuffer(data, np.uint8, offset=start), cv2.IMREAD_UNCHANGED)
+    codes = decoded(data[start:])
     if codes is None or codes.ndim != 2 or codes.dtype != np.uint16:
         raise ValueError(f"format {stated!r}: the PNG inside is cut or not 16 bit")
     return np.asarray(codes, dtype=np.uint16)
