@@ -2474,6 +2474,36 @@ MUTANTS = [
         "    if False:\n",
         "tests/recording/test_ninth_strangers.py::test_whose_matrix_is_used_for_a_camera_without_one_is_said",
     ),
+    Mutant(
+        "dgeval/recording/image_codecs/depth_png.py",
+        "other = up if by_up <= by_corner else corner",
+        "other = up if by_up < by_corner else corner",
+        "tests/recording/test_depth_png.py",
+    ),
+    Mutant(
+        "dgeval/recording/image_codecs/depth_png.py",
+        '        if zlib.crc32(body) != int.from_bytes(data[end - 4 : end], "big"):\n            return None\n',
+        "",
+        "tests/recording/test_depth_png.py",
+    ),
+    Mutant(
+        "dgeval/recording/image_codecs/depth_png.py",
+        "        elif kind not in WITHOUT_MEANING:",
+        '        elif kind == b"gAMA":',
+        "tests/recording/test_depth_png.py",
+    ),
+    Mutant(
+        "dgeval/recording/image_codecs/depth_png.py",
+        "(np.uint16(row[2 * x]) << 8) | row[2 * x + 1]",
+        "(np.uint16(row[2 * x + 1]) << 8) | row[2 * x]",
+        "tests/recording/test_depth_png.py",
+    ),
+    Mutant(
+        "dgeval/recording/containers/mcap.py",
+        "            if chunk.uncompressed_crc != found:",
+        "            if chunk.uncompressed_crc == -found:",
+        "tests/recording/test_damage.py",
+    ),
 ]
 
 
