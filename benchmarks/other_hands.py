@@ -5,7 +5,8 @@ the hand of the truth is MuJoCo's import of the URDF, that of the verdict what t
 description gives, with meshes and with capsules in their place. The same seeds with the five-finger
 hand by name stand beside. `--wrong` puts an error into the description alone. `--per-class` works
 out the truth of trial after trial, of each scenario in turn, until there are so many failures of
-each class, and judges those.
+each class, and judges those. What an earlier run of the same command has worked out is kept: of the
+truth and the verdicts each row is written as it is made (`.jsonl` beside the results).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import argparse
 import json
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -213,16 +214,41 @@ def tables(rows: list[dict[str, Any]], ways: tuple[str, ...]) -> str:
     return "\n\n".join([table(head, lines), *left, *parts])
 
 
+class Kept:
+    """Rows of jobs, written as they are made, and read where a run was broken off."""
+
+    def __init__(self, path: Path, pool: ProcessPoolExecutor) -> None:
+        self.path, self.pool = path, pool
+        lines = path.read_text("utf-8").splitlines() if path.exists() else []
+        self.rows = {row["job"]: row for row in map(json.loads, lines)}
+
+    def judged(self, jobs: list[Job]) -> Iterator[dict[str, Any]]:
+        """A row for each job, in order."""
+        names = [
+            f"{j.hand} {Path(j.scenario).stem} {j.seed} {j.index} {j.ways} {j.wrong} {j.until}"
+            for j in jobs
+        ]
+        new = [(n, j) for n, j in zip(names, jobs, strict=True) if n not in self.rows]
+        made = zip(new, self.pool.map(judge, [j for _, j in new]), strict=True)
+        for name in names:
+            if name not in self.rows:
+                (of, _), row = next(made)
+                self.rows[of] = {"job": of, **row}
+                with self.path.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(self.rows[of]) + "\n")
+            yield self.rows[name]
+
+
 def draw_until(
-    pool: ProcessPoolExecutor, jobs: list[Job], count: int, workers: int
+    kept: Kept, jobs: list[Job], count: int, at_once: int
 ) -> tuple[list[dict[str, Any]], list[Job]]:
     """The truth of trials in order until each class has `count` failures, and those to judge."""
     rows: list[dict[str, Any]] = []
     chosen: list[Job] = []
     have = dict.fromkeys(CLASSES, 0)
-    for k in range(0, len(jobs), 4 * workers):
-        part = jobs[k : k + 4 * workers]
-        for job, row in zip(part, pool.map(judge, part), strict=True):
+    for k in range(0, len(jobs), at_once):
+        part = jobs[k : k + at_once]
+        for job, row in zip(part, kept.judged(part), strict=True):
             rows.append(row)
             truth = row.get("truth")
             if truth is not None and have[truth] < count:
@@ -252,10 +278,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "other_hands.md")
     options = parser.parse_args()
     parts = []
-    with (
-        ProcessPoolExecutor(options.jobs) as pool,
-        options.out.with_suffix(".jsonl").open("w") as file,
-    ):
+    with ProcessPoolExecutor(options.jobs) as pool:
+        kept = Kept(options.out.with_suffix(".jsonl"), pool)
         for hand in options.hand or [*names, "known"]:
             known = hand == "known"
             name = BY_NAME if known else hand
@@ -278,12 +302,10 @@ def main() -> None:
             rows = []
             if options.per_class:
                 first = [replace(j, until="truth") for j in wanted]
-                rows, wanted = draw_until(pool, first, options.per_class, options.jobs)
+                rows, wanted = draw_until(kept, first, options.per_class, 4 * options.jobs)
             known_rows = {(r["scenario"], r["index"]): r for r in rows}
-            for row in pool.map(judge, wanted):
+            for row in kept.judged(wanted):
                 known_rows[row["scenario"], row["index"]] = row
-                file.write(json.dumps(row) + "\n")
-                file.flush()
             rows = list(known_rows.values())
             parts.append(f"## {name}\n\n{tables(rows, ways)}")
     command = f"python -m benchmarks.other_hands --seed {options.seed} --trials {options.trials}"
