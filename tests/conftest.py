@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,6 +18,16 @@ from dgeval.determinism import set_thread_variables  # noqa: E402
 from tests.commands import Commands  # noqa: E402
 
 set_thread_variables()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The files with the longest tests first, so that no process is left alone with one at the end.
+
+    xdist keeps this order with --no-loadscope-reorder.
+    """
+    long = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    first = {"test_bundled.py": -2, "test_verdict.py": -1}
+    items.sort(key=lambda item: (first.get(item.path.name, 0), -long[item.path]))
 
 
 @pytest.fixture(scope="session")
