@@ -580,6 +580,16 @@ def test_an_event_is_when_its_message_says(tmp_path: Path, messages: list[Messag
     assert (pressed.t_ns, pressed.is_log_time) == (closes_ns, True)
 
 
+def test_one_wrong_stamp_is_no_second_publisher(tmp_path: Path, messages: list[Message]) -> None:
+    """Fails where a state that bears a later one's stamp is called another program's."""
+    states = sorted((m for m in messages if m[1] == JOINTS), key=lambda m: m[0])
+    stray = [*states[60][:3], stamped(states[60][3])]
+    stray[3].header.stamp = states[260][3].header.stamp
+    others = [m for m in messages if m is not states[60]]
+    trial = opened(write(tmp_path / "a.mcap", [*others, stray]))
+    assert not {"joints", "stamps", "clocks"} & set(names(trial))
+
+
 def test_copies_that_are_not_alike_are_told(tmp_path: Path, messages: list[Message]) -> None:
     """Fails where the first of two states counts without a word, or pictures that were encoded
     again are called out of order.

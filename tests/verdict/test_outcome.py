@@ -128,7 +128,7 @@ NOTHING_SAID = Ended(
     "unknown",
     None,
     "neither efforts nor a sighting after the lift say how it ended; an operator's word does: "
-    "--label success|failure",
+    "--label success or --label failure",
 )
 
 # labels
