@@ -156,7 +156,10 @@ def _print(inspection: dict[str, Any]) -> None:
         if "proposal" in timing:
             typer.echo(f"  {timing['proposal']}")
     for event in inspection["events"]:
-        typer.echo(f"event: {event['event']} at {event['t_ns']} ns")
+        label = event.get("label")
+        said = f" {label}" if label in ("success", "failure") else ""
+        after = f"{event['after_s']:+.2f} s, " if "after_s" in event else ""
+        typer.echo(f"event: {event['event']}{said} at {after}{event['t_ns']} ns")
     checks = {f"check {c['name']}: {c['what']}; {c['mend']}" for c in inspection["checks"]}
     for note in (n for n in inspection["notes"] if n not in checks):
         typer.echo(f"note: {note}")
@@ -166,4 +169,6 @@ def _print(inspection: dict[str, Any]) -> None:
     typer.echo("can it be told …")
     for answer in inspection["answers"]:
         missing = f": missing {', '.join(answer['missing'])}" if answer["missing"] else ""
-        typer.echo(f"  {'yes' if answer['can'] else 'no '}  {answer['question']}{missing}")
+        provided = f", if {answer['provided']}" if answer["can"] and answer["provided"] else ""
+        word = "yes" if answer["can"] else "no "
+        typer.echo(f"  {word}  {answer['question']}{missing}{provided}")

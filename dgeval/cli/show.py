@@ -11,6 +11,7 @@ from dgeval.cli.boundary import command, given_path, print_json
 
 EXAMPLES = """\b
 Examples:
+  dgeval show runs/latest
   dgeval show runs/latest apple
   dgeval show runs/latest apple --figure apple.svg
   dgeval show runs/latest apple --figure apple     (apple.png and apple.svg)
@@ -20,7 +21,9 @@ Examples:
 @command
 def show(
     run: Annotated[Path, typer.Argument(help="Run folder.", metavar="RUN", parser=given_path)],
-    trial: Annotated[str, typer.Argument(help="Trial id.")],
+    trial: Annotated[
+        str | None, typer.Argument(help="Trial id; may be left out where the run holds one.")
+    ] = None,
     figure: Annotated[
         Path | None,
         typer.Option(help="Also draw errors, velocity and scores over time: .png, .svg or both."),
@@ -34,7 +37,7 @@ def show(
     import textwrap
 
     from dgeval.errors import UsageError
-    from dgeval.report.one_trial import figure_of, lines_of, row_of
+    from dgeval.report.one_trial import figure_of, lines_of, only_trial, row_of
     from dgeval.runs.results import read_run
 
     finished = read_run(run)
@@ -48,6 +51,8 @@ def show(
     for file in files:
         if file.suffix.lower() not in (".png", ".svg"):
             raise UsageError(f"--figure {file}: {file.suffix!r}", hint=".png, .svg, or no suffix")
+    if trial is None:
+        trial = only_trial(finished)
     row = row_of(finished, trial)
     if files:
         drawn = figure_of(finished, trial)

@@ -159,11 +159,11 @@ def unread_results(scan: Scan) -> list[str]:
 
 
 def events_elsewhere(scan: Scan) -> list[str]:
-    """A note on topics whose texts are mostly events, where the topic of events has none."""
+    """A note on topics that mostly say what an event may, where the topic of events has none."""
     if scan.events or scan.not_events:
         return []
     return [
-        f"{n} of {count} texts of {topic} could be events, and are not read; if they are: "
+        f"{n} of {count} messages of {topic} could be events, and are not read; if they are: "
         f"--set roles.events={topic}"
         for topic, (n, count) in sorted(scan.words.items())
         if n >= MOSTLY * count

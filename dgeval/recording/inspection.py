@@ -69,6 +69,9 @@ def inspect_recording(
         out["notes"].insert(0, f"{len(specs)} trials; this is of {of}, {first.id}")
     trial = _trial(first, config)
     out["answers"] = _answers(out, roles, robot, trial)
+    if isinstance(trial, Trial):
+        for event in out["events"]:
+            event["after_s"] = round((event["t_ns"] - trial.pairs[0].t_ns) * 1e-9, 3)
     later: tuple[list[Check], list[str]] = ([], [])
     if foretell is not None and isinstance(trial, Trial):
         later = foretell(trial, config)
@@ -223,10 +226,15 @@ def _answers(
     robot: RobotStates | None,
     trial: Trial | DgevalError,
 ) -> list[dict[str, Any]]:
-    """Each question, whether this recording can answer it, and what is missing."""
+    """Each question, whether this recording can answer it, what is missing, and what an answer
+    depends on.
+    """
 
-    def answer(question: str, missing: list[str]) -> dict[str, Any]:
-        return {"question": question, "can": not missing, "missing": missing}
+    def answer(question: str, missing: list[str], provided: str = "") -> dict[str, Any]:
+        named = list(dict.fromkeys(missing))
+        return {
+            "question": question, "can": not missing, "missing": named, "provided": provided
+        }  # fmt: skip
 
     images = [
         n
@@ -248,7 +256,9 @@ def _answers(
     hand = [] if robot is not None and robot.palm_frame else ["hand_pose"]
     geometry: list[str] = []
     if robot is None or robot.description is None:
-        geometry = ["hand_joints with a description"]
+        geometry = ["a robot description"]
+        if robot is None or not robot.samples:
+            geometry = ["joint states of the hand", *geometry]
     elif isinstance(robot.hand_found, str):
         geometry = [f"a hand ({robot.hand_found})"]
     # inferred closes count, and a hand that is known not to have closed
@@ -260,6 +270,9 @@ def _answers(
         closed = label = ["a trial that can be opened"]
         images = images or closed
     poses = trial.scan.poses if isinstance(trial, Trial) else {}
+    presses = robot is not None and any(e for s in robot.samples for e in s.efforts.values())
+    seen = "the object is seen after the lift, as neither a label nor efforts say how it ended; "
+    seen += "else --label success or --label failure"
     belief = [topic for topic in (GRASP_TOPIC, TARGET_TOPIC) if len(poses.get(topic, ())) < 2]
     own_hand = robot.hand if robot is not None else None
     plans = isinstance(own_hand, KnownHand) and own_hand.grasp_network == "ffhnet"
@@ -272,7 +285,11 @@ def _answers(
             images + pose + hand + grasp,
         ),
         answer("how did it end, by an operator's word", label),
-        answer("why did it fail", images + pose + hand + geometry + closed),
+        answer(
+            "why did it fail",
+            images + pose + hand + geometry + closed,
+            "" if said or presses else seen,
+        ),
         answer(
             "which part of the robot's own belief is to blame",
             images + pose + hand + closed + belief,

@@ -44,16 +44,19 @@ def as_published(description: Description, frames: Collection[str]) -> tuple[Des
     """The description with its links named as the frames of /tf and of the images, and a note; as
     it is, and "", where no single prefix says which link is which.
 
-    A robot_state_publisher with a frame_prefix leaves the description's text as it is.
+    A robot_state_publisher with a frame_prefix leaves the description's text as it is. A single
+    frame, that of the images where there is no /tf, is enough for a prefix that ends with a slash;
+    another may be a second camera's.
     """
     links = {name for j in description.joints.values() for name in (j.parent, j.child)}
     one = _one_prefix(set(frames) - links, links - set(frames))
-    if one is None or len(one[1]) < max(LEAST, len(links & set(frames)) + 1):
+    least = 1 if one is not None and len(frames) == 1 and one[0].endswith("/") else LEAST
+    if one is None or len(one[1]) < max(least, len(links & set(frames)) + 1):
         return description, ""
     prefix = one[0]
     return description.with_prefix(prefix), (
-        f"the frames of /tf are called {prefix}…, the description's links the same without: taken "
-        "as one"
+        f"the recorded frames are called {prefix}…, the description's links the same without: "
+        "taken as one"
     )
 
 

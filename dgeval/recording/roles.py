@@ -388,7 +388,7 @@ def _no_depth(scan: Scan, topic: str) -> str:
 
 def _why_unread(head: ImageHead) -> str:
     if head.codec is None:
-        return f"{head.format!r} pictures, which are not read"
+        return f"{head.format!r} pictures, of which the first can't be decoded ({head.fault})"
     if not is_available():
         return f"{head.format} video, which needs {EXTRA}"
     return f"{head.format} video without a picture that can be decoded"

@@ -72,8 +72,9 @@ from dgeval.recording.messages import (
 from dgeval.recording.namespaces import namespace_of
 from dgeval.recording.video import EXTRA, VideoDecoder, codec_of, is_available
 
-# what a message that does not hold what its type says leads to
+MOST_OF_AN_EVENT = 2000  # bytes; an event camera's topics are called so too
 NUMBERS = frozenset({GRASP_SCORE_TOPIC, SCORE_TOPIC, EXECUTE_TOPIC, ACCEPTED_TOPIC})
+# what a message that does not hold what its type says leads to
 NOT_USABLE = (
     UndecodableError,
     ValueError,
@@ -126,7 +127,7 @@ class TopicTimes:
 class ImageHead:
     """The first image of a topic; encoding "?" where it can't be decoded. Size px.
 
-    codec: of a video.
+    codec: of a video. fault: why it can't be decoded.
     """
 
     encoding: str
@@ -135,6 +136,7 @@ class ImageHead:
     frame_id: str
     format: str
     codec: str | None = None
+    fault: str = ""
 
 
 @dataclass
@@ -288,7 +290,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                         out.description_changes.add(message.topic)
                     out.descriptions[message.topic] = urdf
             elif topic.type == "std_msgs/msg/String":
-                _count_words(out.words[message.topic], opened.decode(message).data)
+                _count_words(out.words[message.topic], opened.decode(message))
             elif is_gripper_topic(message.topic, topic.type):
                 gripper = opened.decode(message)
                 if topic.type == GOALS:
@@ -311,6 +313,9 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 value = float(opened.decode(message).data)
                 if np.isfinite(value):
                     out.numbers.setdefault(message.topic, []).append((message.log_ns, value))
+            elif "event" in message.topic.lower() and len(message.data) < MOST_OF_AN_EVENT:
+                with contextlib.suppress(*NOT_USABLE):  # nobody asked for it
+                    _count_words(out.words[message.topic], opened.decode(message))
         except NOT_USABLE as error:
             if topic.type in STAMPED and len(times.header_ns) < len(times.log_ns):
                 times.header_ns.append(0)  # so that the stamps of the others stay theirs
@@ -339,11 +344,11 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
     return out
 
 
-def _count_words(counted: list[int], text: str) -> None:
-    """Count a text, and whether it would be understood as an event."""
+def _count_words(counted: list[int], message: Any) -> None:
+    """Count a message, and whether it would be understood as an event."""
     counted[1] += 1
     with contextlib.suppress(ValueError):
-        counted[0] += event_of(text, 0).kind in EVENT_KINDS
+        counted[0] += event_of(event_text(message), 0).kind in EVENT_KINDS
 
 
 def add_to_stamps(found: Scan, offsets: Mapping[str, int]) -> None:
@@ -470,8 +475,8 @@ def _head(message: RawMessage, opened: Opened, videos: dict[str, VideoDecoder]) 
             array, encoding = pixels.array, pixels.encoding
         else:
             array, encoding = _first_picture(message.topic, codec, decoded, videos), "rgb8"
-    except ValueError:
-        return ImageHead("?", 0, 0, frame, stated, codec)
+    except ValueError as error:
+        return ImageHead("?", 0, 0, frame, stated, codec, str(error))
     height, width = array.shape[:2]
     return ImageHead(encoding, width, height, frame, stated, codec)
 

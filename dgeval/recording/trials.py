@@ -205,6 +205,7 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
         *started_twice(scanned.events, window.start_ns, window.end_ns),
         *events.notes(),
         *([] if spec.label or events.label() else unread_results(scanned)),
+        *_label_not_used(spec, events),
         *events_elsewhere(scanned),
         *stamp_notes(window.stamp_faults),
     ]
@@ -250,6 +251,14 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
         tuple(checks),
         tuple(notes),
     )
+
+
+def _label_not_used(spec: TrialSpec, events: Events) -> list[str]:
+    """A note where a label is given and the log says the other."""
+    recorded = events.label()
+    if spec.label is None or recorded is None or recorded == spec.label:
+        return []
+    return [f"the recorded label, {recorded}, is not used: {spec.label} is given"]
 
 
 def _given(t_ns: int | None, after_s: float | None, first_ns: int) -> int | None:

@@ -17,6 +17,15 @@ from dgeval.runs.results import Run
 from dgeval.schema import TRIALS
 
 
+def only_trial(run: Run) -> str:
+    """The id of a run's one trial; UsageError, with the ids, where it holds another number."""
+    names = list(map(str, run.trials["trial"]))
+    if len(names) != 1:
+        what = f"the run holds {len(names)} trials, and which one is meant is not said"
+        raise UsageError(what, Place(str(run.folder)), f"name one: {', '.join(names)}")
+    return names[0]
+
+
 def row_of(run: Run, trial: str) -> dict[str, Any]:
     """A trial's row, nulls as None. UsageError names the trials where it is none of the run."""
     rows = run.trials[run.trials["trial"] == trial].to_dict("records")
@@ -49,7 +58,7 @@ def lines_of(run: Run, trial: str) -> list[str]:
     out = ["  ".join(head), row["evidence"] or ""]
     if cause is not None:
         chances = ", ".join(f"{LABELS[c]} {row[f'p_{c}'] or 0:.0%}" for c in (*CLASSES, "unknown"))
-        sub = f", {row['sub_cause']}" if row["sub_cause"] else ""
+        sub = f"; sub-cause: {row['sub_cause']}" if row["sub_cause"] else ""
         out.append(f"cause: {chances}{sub}")
         if seen is not None:
             p = row[f"p_observed_{seen}"]

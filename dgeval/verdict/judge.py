@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from dgeval.config import VerdictConfig
 from dgeval.failure_rule import Outcome, OutcomeSource, Unknown
 from dgeval.hindsight.second_pass import Hindsight
@@ -33,6 +35,7 @@ CLOSING = {
 
 # of the speed, and m/s: two standard deviations beyond both are told; ours
 DOUBTFUL_SHARE, DOUBTFUL_M_S = 0.1, 0.005
+UNLIKE_THE_WHOLE = 0.5  # of the way that a speed makes; an object that got less far stood or turned
 SAME_CLOSE_NS = 30_000_000  # ns; the twin's close times are so far apart
 
 
@@ -207,8 +210,8 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
         )
     if scene.close is not None and scene.hand.finish is None:
         notes.append(
-            "verdict: the lift is dgeval's own, straight up: after the close the log shows no "
-            f"lift of the hand by {LEAST_RISE_M:.2f} m or more to its end"
+            "verdict: the lift is dgeval's own, straight up: after the close the log shows none of "
+            f"{LEAST_RISE_M:.2f} m or more that has come to rest before the log ends"
         )
     if scene.held:
         notes.append(
@@ -230,15 +233,25 @@ def notes_of(scene: Scene, decision: Decision, blame: Blame) -> list[str]:
 
 
 def _doubtful_speed(hindsight: Hindsight, speed: float) -> list[str]:
-    """A note where the undisturbed object was seen too briefly to know its speed, m/s."""
+    """Notes where the undisturbed object was seen too briefly to know its speed, m/s, or where the
+    speed at the end is not that of the whole way.
+    """
     path = hindsight.path
-    if 2 * path.sd_velocity <= max(DOUBTFUL_SHARE * speed, DOUBTFUL_M_S):
-        return []
     lasted_s = (int(path.t_ns[-1]) - int(path.t_ns[0])) * 1e-9
-    return [
-        f"speed_measured, {speed:.3f} m/s, is known to ± {2 * path.sd_velocity:.3f} m/s alone: the "
-        f"undisturbed object was seen {len(path.t_ns)} times in {lasted_s:.1f} s"
-    ]
+    notes = []
+    if 2 * path.sd_velocity > max(DOUBTFUL_SHARE * speed, DOUBTFUL_M_S):
+        notes.append(
+            f"speed_measured, {speed:.3f} m/s, is known to ± {2 * path.sd_velocity:.3f} m/s alone: "
+            f"the undisturbed object was seen {len(path.t_ns)} times in {lasted_s:.1f} s"
+        )
+    way = float(np.linalg.norm(path.position[-1] - path.position[0]))
+    if speed > DOUBTFUL_M_S and way < UNLIKE_THE_WHOLE * speed * lasted_s:
+        notes.append(
+            f"speed_measured, {speed:.3f} m/s, is that at the end: from its first to its last "
+            f"undisturbed sighting, in {lasted_s:.1f} s, the object got {way:.3f} m far, "
+            f"{way / lasted_s:.3f} m/s"
+        )
+    return notes
 
 
 def closes_of(decision: Decision, times: Times) -> tuple[tuple[int, float], ...]:

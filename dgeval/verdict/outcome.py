@@ -62,12 +62,17 @@ def outcome_of(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     A label; no close: how near the hand came; a log that ends with the close: unknown; then fingers
     and sightings.
     """
-    if log.label in ("success", "failure"):
-        return Ended(
-            "success" if log.label == "success" else "failure",
-            "label",
-            "an operator's label says so",
-        )
+    shown = _shown(log, hindsight)
+    if log.label not in ("success", "failure"):
+        return shown
+    said = "an operator's label says so"
+    if shown.source == "inferred" and shown.outcome != log.label:
+        said += f", though {shown.evidence}"
+    return Ended("success" if log.label == "success" else "failure", "label", said)
+
+
+def _shown(log: TrialLog, hindsight: Hindsight | None) -> Ended:
+    """What hand and object show, without an operator's word."""
     close_ns = log.close_ns
     if close_ns is None:
         if log.damaged:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dgeval.failure_rule import Unknown, sub_cause_named
-from dgeval.verdict.decide import Decision
+from dgeval.verdict.decide import RARELY, Decision
 from dgeval.verdict.outcome import Ended
 
 CLASS_TEXT = {"imprecise_pose": "imprecise pose", "collision": "collision", "timing": "timing"}
@@ -47,7 +47,18 @@ def sentence(times: Times, ended: Ended, decision: Decision, link: str | None) -
     row = sub_cause_named(answer.sub_cause)
     if answer.failure_class == "imprecise_pose" and not decision.chosen[0].facts.curve:
         return begin + "The hand was never near the object"
-    return begin + row.sentence.format(**fields_of(times, decision, link))
+    return (
+        begin + row.sentence.format(**fields_of(times, decision, link)) + _rarely(ended, decision)
+    )
+
+
+def _rarely(ended: Ended, decision: Decision) -> str:
+    """In words, that few draws fail as the log does; empty where many do."""
+    share = decision.draws.share_reproduced
+    if share >= RARELY:
+        return ""
+    doubt = "doubt this cause" + (", or the label" if ended.source == "label" else "")
+    return f". In the physics only {share:.0%} of the draws fail as the trial did: {doubt}"
 
 
 def fields_of(times: Times, decision: Decision, link: str | None) -> dict[str, str | float]:

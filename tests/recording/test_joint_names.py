@@ -83,13 +83,23 @@ def links(description: Description) -> set[str]:
 def test_a_frame_prefix_is_the_descriptions_too(prefix: str) -> None:
     """Fails where a robot_state_publisher's frame_prefix parts the description from /tf."""
     published, note = as_published(DESCRIPTION, {prefix + link for link in links(DESCRIPTION)})
-    assert note.startswith(f"the frames of /tf are called {prefix}")
+    assert note.startswith(f"the recorded frames are called {prefix}")
     assert links(published) == {prefix + link for link in links(DESCRIPTION)}
     assert {j.name for j in published.joints.values()} == {
         j.name for j in DESCRIPTION.joints.values()
     }
     assert published.shapes.keys() == {prefix + link for link in DESCRIPTION.shapes}
     assert all(s.link == link for link, listed in published.shapes.items() for s in listed)
+
+
+def test_the_images_frame_alone_tells_a_namespace() -> None:
+    """Fails where a camera in robot1/ without any /tf stands alone, or a second camera, whose name
+    ends as the first one's, is taken for it.
+    """
+    link = sorted(links(DESCRIPTION))[0]
+    published, _ = as_published(DESCRIPTION, {f"robot1/{link}"})
+    assert links(published) == {f"robot1/{each}" for each in links(DESCRIPTION)}
+    assert as_published(DESCRIPTION, {f"wrist_{link}"}) == (DESCRIPTION, "")
 
 
 def test_frames_that_are_the_descriptions_own_get_no_prefix() -> None:

@@ -526,6 +526,13 @@ def test_what_is_asked_of_a_trial_that_cant_be_opened_can_not_be_told(
     assert refused["replay"].startswith("refused")
     assert not any(a["can"] for a in refused["answers"])
     whole = inspect_recording(write(tmp_path / "b.mcap", messages), Config())
+    why = next(a for a in whole["answers"] if a["question"] == "why did it fail")
+    assert why["provided"] == "", "a label is recorded"
+    bare = [m for m in messages if m[1] not in (EVENTS, "/robot_description")]
+    unsaid = inspect_recording(write(tmp_path / "c.mcap", bare), Config())["answers"]
+    why = next(a for a in unsaid if a["question"] == "why did it fail")
+    assert why["missing"][-2:] == ["a robot description", "a close event"]
+    assert "--label failure" in why["provided"], "the demo's joint states hold no efforts"
     can = {a["question"]: a["can"] for a in whole["answers"]}
     assert can["where is the target in the camera, frame by frame"]
     assert can["what would the controller have commanded"]

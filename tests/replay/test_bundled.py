@@ -90,9 +90,10 @@ def test_one_trial_on_one_page(smoke_run: Path, dgeval: Run, tmp_path: Path) -> 
     for wrong in (tmp_path, "", figure.with_suffix(".png") / "x.png", "a.pdf"):
         refused = dgeval("show", smoke_run, name, "--figure", wrong)
         assert refused.returncode == 2, (wrong, refused.stderr)
-    unknown = dgeval("show", smoke_run, "nosuch")
-    assert unknown.returncode == 2
-    assert name in unknown.stderr
+    for wrong in (["nosuch"], []):
+        unknown = dgeval("show", smoke_run, *wrong)
+        assert unknown.returncode == 2
+        assert name in unknown.stderr
 
 
 @pytest.mark.slow

@@ -388,6 +388,7 @@ def test_inspect_names_roles_events_and_answers(dgeval: Run, demo: Path) -> None
         "label",
         "trial_end",
     ]
+    assert [e.get("after_s") for e in report["events"]][:2] == [-0.033, 3.167]
     # the demo has no belief of where its target is
     assert [a["missing"] for a in report["answers"] if not a["can"]] == [
         ["/dgeval/belief/target_pose"]

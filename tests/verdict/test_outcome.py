@@ -137,14 +137,21 @@ NOTHING_SAID = Ended(
 @pytest.mark.parametrize("label", ["success", "failure"])
 @pytest.mark.parametrize("joints", [EMPTY, GRIP])
 def test_an_operators_label_wins(label: str, joints: list[JointSample]) -> None:
-    """Catches a log that overrules the operator, and a label read the other way round."""
-    told = Ended(label, "label", "an operator's label says so")  # type: ignore[arg-type]
-    assert outcome(trial(joints=joints, label=label), None) == told
-    event = Event(at(3.0), "label", {"label": label})
-    assert outcome(trial([event], joints), None) == told
+    """Catches a log that overrules the operator, a label read the other way round, and fingers that
+    say the other and are not named.
+    """
+    said = "an operator's label says so"
+    told = Ended(label, "label", said)  # type: ignore[arg-type]
     assert outcome(trial(closed=False, label=label, damage=["torn"]), None) == told, (
         "without a close too"
     )
+    if (label == "success") != (joints is GRIP):
+        told = replace(
+            told, evidence=f"{said}, though {GRIP_SAYS if joints is GRIP else EMPTY_SAYS}"
+        )
+    assert outcome(trial(joints=joints, label=label), None) == told
+    event = Event(at(3.0), "label", {"label": label})
+    assert outcome(trial([event], joints), None) == told
 
 
 def test_the_manifests_label_goes_before_the_logs() -> None:

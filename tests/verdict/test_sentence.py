@@ -63,6 +63,7 @@ def hindsight(**changed: object) -> Any:
         "path": SimpleNamespace(
             velocity=np.array([[9.0, 9.0, 9.0], [0.06, 0.08, 0.0]]),
             sd_velocity=0.004, t_ns=np.array([0, 400_000_000]),
+            position=np.array([[0.0, 0.0, 0.0], [0.024, 0.032, 0.0]]),
         ),
     }  # fmt: skip
     return SimpleNamespace(**{**values, **changed})
@@ -293,13 +294,47 @@ def test_a_speed_from_few_sightings_is_told(stages: Replace) -> None:
             velocity=np.array([[0.053, 0.0, 0.0]]),
             sd_velocity=0.0057,
             t_ns=np.linspace(0, 400_000_000, 7),
+            position=np.linspace([0.0, 0, 0], [0.021, 0, 0], 7),
         )
     )
     found = judge(trial(), brief, CONFIG, 0)
+    assert not any("at the end" in note for note in found.notes)
     assert found.notes[0] == (
         "speed_measured, 0.053 m/s, is known to ± 0.011 m/s alone: the undisturbed object was seen "
         "7 times in 0.4 s"
     )
+
+
+def test_the_speed_of_what_hardly_got_on_is_told(stages: Replace) -> None:
+    """Catches 0.077 m/s for a thing in a shelf: so it was at the end of 13 s alone."""
+    stages(ended=Ended("success", "label", "an operator's label says so"))
+    shelf = hindsight(
+        path=SimpleNamespace(
+            velocity=np.array([[0.077, 0.0, 0.0]]),
+            sd_velocity=0.001,
+            t_ns=np.linspace(0, 13_000_000_000, 12),
+            position=np.linspace([0.0, 0, 0], [0.026, 0, 0], 12),
+        )
+    )
+    (note, _) = judge(trial(), shelf, CONFIG, 0).notes
+    assert note == (
+        "speed_measured, 0.077 m/s, is that at the end: from its first to its last undisturbed "
+        "sighting, in 13.0 s, the object got 0.026 m far, 0.002 m/s"
+    )
+
+
+@pytest.mark.parametrize(
+    ("source", "whose"), [("label", "this cause, or the label"), ("inferred", "this cause")]
+)
+def test_a_cause_that_few_draws_show_is_doubted(source: Any, whose: str) -> None:
+    """Catches 77 % for a close 0.06 s too late where nearly all draws hold the object."""
+    decision = decided(draw("timing", "late"), shift_s=-0.06)
+    ended = Ended("failure", source, "it failed")
+    times = Times(START, START + 4 * SECOND, CLOSE, None)
+    assert "doubt" not in sentence(times, ended, decision, None)
+    rare = replace(decision, draws=replace(decision.draws, share_reproduced=0.08))
+    said = sentence(times, ended, rare, None)
+    assert said.endswith(f"only 8% of the draws fail as the trial did: doubt {whose}")
 
 
 def test_a_success_without_hindsight(stages: Replace) -> None:
@@ -552,7 +587,7 @@ def test_notes_of_what_the_log_does_not_hold(stages: Replace) -> None:
     assert notes(stages, BLAMED, close=None, **unseen) == [blamed]
     [_, lift] = notes(stages, BLAMED, hand=SimpleNamespace(finish=None))
     assert lift == (
-        "verdict: the lift is dgeval's own, straight up: after the close the log shows no lift "
-        "of the hand by 0.05 m or more to its end"
+        "verdict: the lift is dgeval's own, straight up: after the close the log shows none of "
+        "0.05 m or more that has come to rest before the log ends"
     )
     assert notes(stages, BLAMED, close=None, hand=SimpleNamespace(finish=None)) == [blamed]

@@ -48,7 +48,9 @@ def decode(message: Any) -> Pixels:
 def _png(stated: str, data: bytes, start: int) -> NDArray[np.uint16]:
     codes = decoded(data[start:])
     if codes is None or codes.ndim != 2 or codes.dtype != np.uint16:
-        raise ValueError(f"format {stated!r}: the PNG inside is cut or not 16 bit")
+        raise ValueError(
+            f"format {stated!r}: the PNG inside is damaged, or not of one channel and 16 bits"
+        )
     return np.asarray(codes, dtype=np.uint16)
 
 
