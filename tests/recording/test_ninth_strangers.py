@@ -492,10 +492,16 @@ def test_a_foxglove_image_without_a_time_has_the_recorders() -> None:
     assert (stamp_ns(read), read.header.frame_id, bytes(read.data)) == (0, "c", b"hi")
 
 
-def test_events_on_a_topic_of_their_own_are_named(tmp_path: Path, messages: list[Message]) -> None:
+@pytest.mark.parametrize("is_structure", [False, True])
+def test_events_on_a_topic_of_their_own_are_named(
+    tmp_path: Path, messages: list[Message], is_structure: bool
+) -> None:
     """Fails where "no close is recorded" is all that is said of a log that holds it."""
     own = "/experiment/events"
     listed = [[m[0], own if m[1] == EVENTS else m[1], *m[2:]] for m in messages]
+    for m in listed:
+        if m[1] == own and is_structure:
+            m[2:] = as_structure(m[3].data)
     trial = opened(write(tmp_path / "a.mcap", listed))
     assert any(f"--set roles.events={own}" in note for note in trial.notes)
     given = opened(tmp_path / "a.mcap", f"roles.events={own}")

@@ -2504,6 +2504,48 @@ MUTANTS = [
         "            if chunk.uncompressed_crc == -found:",
         "tests/recording/test_damage.py",
     ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        'if shown.source == "inferred" and shown.outcome != log.label:',
+        "if False:",
+        "tests/verdict/test_outcome.py",
+    ),
+    Mutant(
+        "dgeval/verdict/sentence.py",
+        "    if share >= RARELY:",
+        "    if share >= 0.0:",
+        "tests/verdict/test_sentence.py",
+    ),
+    Mutant(
+        "dgeval/verdict/judge.py",
+        "way < UNLIKE_THE_WHOLE * speed * lasted_s",
+        "way < 0.0",
+        "tests/verdict/test_sentence.py",
+    ),
+    Mutant(
+        "dgeval/recording/joint_checks.py",
+        "    if len(shared) <= STRAY * stamps:",
+        "    if not apart:",
+        "tests/recording/test_ninth_strangers.py",
+    ),
+    Mutant(
+        "dgeval/recording/joint_names.py",
+        'len(frames) == 1 and one[0].endswith("/")',
+        "len(frames) == 1",
+        "tests/recording/test_joint_names.py",
+    ),
+    Mutant(
+        "dgeval/recording/inspection.py",
+        '            "" if said or presses else seen,',
+        '            "",',
+        "tests/recording/test_ninth_strangers.py",
+    ),
+    Mutant(
+        "dgeval/recording/scan.py",
+        "_count_words(out.words[message.topic], opened.decode(message))\n        except",
+        "pass\n        except",
+        "tests/recording/test_ninth_strangers.py",
+    ),
 ]
 
 
