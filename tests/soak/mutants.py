@@ -2546,6 +2546,12 @@ MUTANTS = [
         "pass\n        except",
         "tests/recording/test_ninth_strangers.py",
     ),
+    Mutant(
+        "dgeval/verdict/draws.py",
+        "    narrow, wide = np.exp(-0.5 * square), np.exp(-0.125 * square) / 8",
+        "    narrow, wide = np.exp(-0.5 * square), np.exp(-0.125 * square)",
+        "tests/verdict/test_decide.py",
+    ),
 ]
 
 

@@ -30,7 +30,7 @@ from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.robots.hand import Hand
 from dgeval.robots.parallel_jaw import HAND as JAW
 from dgeval.verdict.decide import Decision, Draw, gave_way
-from dgeval.verdict.draws import decide_scene
+from dgeval.verdict.draws import _likely, decide_scene
 from dgeval.verdict.evidence import HandMotion, Scene
 
 DRAWS = "dgeval.verdict.draws"
@@ -156,12 +156,13 @@ Replace = Callable[..., Physics]
 
 @pytest.fixture
 def physics(monkeypatch: pytest.MonkeyPatch) -> Replace:
-    """The twin replaced by one that gives these draws."""
+    """The twin replaced by one that gives these draws, whose places are all as likely."""
 
     def replaced(*draws: GivenDraw) -> Physics:
         out = Physics(list(draws))
         monkeypatch.setattr(f"{DRAWS}.Twin", out)
         monkeypatch.setattr(f"{DRAWS}.solid_from_cloud", out.solid_from_cloud)
+        monkeypatch.setattr(f"{DRAWS}._likely", lambda off: 1.0)
         return out
 
     return replaced
@@ -452,6 +453,19 @@ def test_a_grip_that_presses_too_deep_is_made_again_with_less_force(
 def test_the_order_of_the_classes() -> None:
     """Catches probabilities that a reader takes for another class's."""
     assert CLASSES == ("imprecise_pose", "collision", "timing")
+
+
+def test_draws_far_from_where_it_was_seen_count_little() -> None:
+    """Catches a place five standard deviations off that counts like the best guess: over all draws
+    the weights must give back the normal distribution that the place has.
+    """
+    rng = np.random.default_rng(0)
+    off = np.vstack([rng.normal(0, 1, (20_000, 3)), rng.normal(0, 2, (20_000, 3))])
+    weights = np.array([_likely(one) for one in off])
+    assert weights.mean() == pytest.approx(1.0, abs=0.03)
+    assert (weights @ off**2 / weights.sum()) == pytest.approx(np.ones(3), abs=0.05)
+    assert _likely(np.zeros(3)) == pytest.approx(16 / 9)
+    assert _likely(np.array([4.0, 0.0, 0.0])) < 0.05
 
 
 def test_votes_are_weighted_by_how_well_a_draw_agrees_with_the_log(physics: Replace) -> None:
