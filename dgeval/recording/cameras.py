@@ -23,6 +23,7 @@ DISPARITY = "disparity"  # in the names of topics whose numbers are px, and larg
 COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "8UC4", "mono8", "8UC1"})
 GREY = frozenset({"mono8", "8UC1"})
 STILL = 1e-4  # m and parts of a quaternion, by which a transform that moves changes at least; ours
+MOVED = 0.01  # rad, m and parts of a quaternion, by which what goes somewhere moves at least; ours
 STEREO = ("infra", "left", "right")
 ALIGNED = ("aligned", "registered", "to_color", "to_colour", "to_rgb")
 ALIGNED_TO_COLOUR = ("registered", "to_color", "to_colour", "to_rgb")
@@ -84,7 +85,7 @@ def is_aligned_by_name(scan: Scan, colour: ImageHead, depth: ImageHead, topic: s
     same_size = (colour.width, colour.height) == (depth.width, depth.height)
     if not same_size or not _has(topic, *ALIGNED_TO_COLOUR):
         return False
-    placed = _parents(scan)
+    placed = _parents(scan, None)
     return depth.frame_id not in placed.keys() | {parent for parent, _ in placed.values()}
 
 
@@ -95,7 +96,7 @@ def choose_camera(
     colours = [config.colour] if config.colour else colour_topics(scan, heads)
     depths = [config.depth] if config.depth else depth_topics(scan, heads)
 
-    def rank(pair: tuple[str, str]) -> tuple[bool, int, bool, bool, int, int]:
+    def rank(pair: tuple[str, str]) -> tuple[bool, int, int, bool, bool, int, int]:
         c, d = heads.get(pair[0]), heads.get(pair[1])
         aligned = c is not None and d is not None and is_aligned(c, d)
         alignable = (
@@ -105,6 +106,7 @@ def choose_camera(
         stereo = c is not None and (c.encoding in GREY or _has(pair[0], *STEREO))
         return (
             not (aligned or alignable),
+            -moved.get(c.frame_id, 0) if c is not None else 0,
             -carried.get(c.frame_id, 0) if c is not None else 0,
             stereo,
             not aligned,
@@ -112,8 +114,10 @@ def choose_camera(
             depths.index(pair[1]),
         )
 
-    parents = _parents(scan)
-    carried = {f: moving_edges(parents, f) for f in sorted(_frames(heads))}
+    carried, moved = (
+        {f: moving_edges(parents, f) for f in sorted(_frames(heads))}
+        for parents in (_parents(scan, None), _parents(scan, _ways(scan)))
+    )
     pairs = list(product(colours, depths))
     colour, depth = min(pairs, key=rank) if pairs else (None, None)
     colour = colour or (colours[0] if colours else None)
@@ -126,11 +130,30 @@ def choose_camera(
     return colour, depth, passed
 
 
-def _parents(scan: Scan) -> dict[str, tuple[str, bool]]:
-    """By frame, its parent and whether it moves against it: by joints and by transforms."""
+def _ways(scan: Scan) -> dict[str, float]:
+    """How far each recorded joint moves, rad or m: an arm or a head that stands still carries the
+    camera of no grasp.
+    """
+    least: dict[str, float] = {}
+    most: dict[str, float] = {}
+    for samples in scan.joints.values():
+        for sample in samples:
+            for name, value in sample.positions.items():
+                least[name] = min(least.get(name, value), value)
+                most[name] = max(most.get(name, value), value)
+    return {name: most[name] - least[name] for name in least}
+
+
+def _parents(scan: Scan, ways: dict[str, float] | None) -> dict[str, tuple[str, bool]]:
+    """By frame, its parent and whether it moves against it: by joints and by transforms.
+
+    ways: how far each joint moves, where that counts and not that it can.
+    """
     parents: dict[str, tuple[str, bool]] = {}
     for text in scan.descriptions.values():
-        parents |= _joints(text)
+        for link, (parent, joint) in _joints(text).items():
+            far = ways is None or ways.get(joint, 0.0) > MOVED
+            parents[link] = (parent, bool(joint) and far)
     for heard in scan.tf.values():
         for edge in heard.static:
             parents[edge.child] = (edge.parent, False)
@@ -138,7 +161,8 @@ def _parents(scan: Scan) -> dict[str, tuple[str, bool]]:
         for edge in heard.moving:
             pose = first.setdefault(edge.child, edge.pose)
             moves = parents.get(edge.child, ("", False))[1]
-            moves = moves or bool((np.abs(edge.pose - pose) > STILL).any())
+            least = STILL if ways is None else MOVED
+            moves = moves or bool((np.abs(edge.pose - pose) > least).any())
             parents[edge.child] = (edge.parent, moves)
     return parents
 
@@ -155,15 +179,15 @@ def moving_edges(parents: dict[str, tuple[str, bool]], frame: str) -> int:
     return count
 
 
-def _joints(text: str) -> dict[str, tuple[str, bool]]:
-    """By link of a robot description, its parent and whether the joint between them moves."""
+def _joints(text: str) -> dict[str, tuple[str, str]]:
+    """By link of a robot description, its parent and the joint between them; "" for a fixed one."""
     out = {}
     try:
         for joint in ElementTree.fromstring(text).iter("joint"):
             parent, child = joint.find("parent"), joint.find("child")
             if parent is not None and child is not None:
-                moves = joint.get("type") != "fixed"
-                out[child.get("link", "")] = (parent.get("link", ""), moves)
+                name = "" if joint.get("type") == "fixed" else joint.get("name", "?")
+                out[child.get("link", "")] = (parent.get("link", ""), name)
     except ElementTree.ParseError:
         pass  # the description is read later, and its error told
     return out

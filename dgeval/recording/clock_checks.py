@@ -145,22 +145,32 @@ def _delay(scan: Scan, topic: str | None, offset_ns: int) -> float | None:
     return float(np.median(log - header - offset_ns)) * 1e-9
 
 
+def _parting(scan: Scan, topic: str, other: str) -> float:
+    """By how much the delay of a topic to the recorder grows more than that of another, s: from the
+    first to the last quarter of the time in which both are recorded.
+    """
+    both = [scan.times[name].arrays() for name in (topic, other)]
+    first, last = max(log.min() for _, log in both), min(log.max() for _, log in both)
+    quarter = (last - first) / 4
+    grown = []
+    for header, log in both:
+        late = (log - header) * 1e-9
+        begin = (log >= first) & (log <= first + quarter)
+        end = (log >= last - quarter) & (log <= last)
+        if not (begin.any() and end.any()):
+            return 0.0
+        grown.append(float(np.median(late[end]) - np.median(late[begin])))
+    return grown[0] - grown[1]
+
+
 def clocks_drift(scan: Scan, roles: Roles, clock: ClockConfig, least_s: float) -> str:
     """What is said where the delay to the recorder changes over the recording by more than least_s
     for a topic of the robot against the camera's; "" without.
     """
-
-    def change(topic: str) -> float:
-        header, log = scan.times[topic].arrays()
-        late = (log - header) * 1e-9
-        quarter = max(1, len(late) // 4)
-        return float(np.median(late[-quarter:]) - np.median(late[:quarter]))
-
     stamped = _robot_delays(scan, roles, clock)
     if roles.colour is None or _delay(scan, roles.colour, 0) is None or not stamped:
         return ""
-    of_camera = change(roles.colour)
-    apart = {topic: change(topic) - of_camera for topic in stamped}
+    apart = {topic: _parting(scan, topic, roles.colour) for topic in stamped}
     topic = max(apart, key=lambda t: abs(apart[t]))
     if abs(apart[topic]) <= least_s:
         return ""

@@ -26,7 +26,7 @@ from dgeval.recording.namespaces import Series, differ, holds, home_of, namespac
 from dgeval.recording.palm import palm_of
 from dgeval.recording.roles import Roles, joint_notes, joint_topics, merged_joints
 from dgeval.recording.scan import Scan, Transforms
-from dgeval.recording.transforms import TransformTree
+from dgeval.recording.transforms import Track, TransformTree
 from dgeval.recording.two_sources import contradictions, unplaced_by_tf
 from dgeval.robots.described_hand import CLOSE_S, described_hand
 from dgeval.robots.description import Description, Joint, LinkShape
@@ -211,15 +211,19 @@ class RobotStates:
         return out
 
 
+def _changes(track: Track) -> bool:
+    """Whether a recorded pose is not the same throughout."""
+    return float(np.ptp(track.poses, axis=0).max()) > MOVES
+
+
 def _stamps_of_moving(robot: RobotStates, frames: Iterable[str]) -> list[list[int]]:
     """Times, ns, of the recorded states of each of some frames that moves against its parent."""
     tree, joints = robot.tree, robot.description.joints if robot.description else {}
     listed: list[list[int]] = []
     for frame in frames:
         if frame in tree.moving:
-            track = tree.moving[frame][1]
-            if float(np.ptp(track.poses, axis=0).max()) > MOVES:  # a mount may be on /tf too
-                listed.append(track.times)
+            if _changes(tree.moving[frame][1]):  # a mount may be on /tf too
+                listed.append(tree.moving[frame][1].times)
         elif frame in tree.computed and frame in joints:
             listed.append(robot.joints.times.get(joints[frame].follows, []))
     return listed
@@ -366,7 +370,7 @@ def robot_states(scan: Scan, roles: Roles, config: Config) -> RobotStates:
             "counts with its own, as tf2 reads them"
         )
     above = tree.ancestors(base) if base is not None else []
-    if any(frame in tree.moving for frame in above):
+    if any(frame in tree.moving and _changes(tree.moving[frame][1]) for frame in above):
         notes.append(
             f"the base frame {base!r} moves in {above[-1]!r}: speeds are against {base!r}; for the "
             f"other: frames.base={above[-1]}"
