@@ -287,6 +287,45 @@ def test_a_camera_whose_clock_runs_faster_is_no_wrong_depth(
     assert "does one clock run faster" in trial.checks[0].what
 
 
+def test_a_simulation_slower_than_the_clock_parts_no_stamps(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where joints that are recorded longer than the images seem to drift: only their
+    stretch of the recorder's clock is another.
+    """
+    first = min(m[0] for m in messages)
+    slow = [[first + (m[0] - first) * 23 // 10, *m[1:]] for m in messages]
+    cut = [m for m in slow if m[1] not in (COLOUR, DEPTH, INFO) or m[0] - first < 9_900_000_000]
+    trial = opened(write(tmp_path / "a.mcap", cut))
+    assert names(trial) == []
+    assert not any("does one clock run faster" in note for note in trial.notes)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.05])
+def test_a_base_is_said_to_move_where_it_does(
+    tmp_path: Path, messages: list[Message], speed: float
+) -> None:
+    """Fails where every base that is on /tf is said to move: a legged robot's body that stood."""
+    out = list(messages)
+    first = min(m[0] for m in messages)
+    for m in messages:
+        if m[1] == JOINTS:
+            edge = TYPES["geometry_msgs/msg/TransformStamped"](
+                header=TYPES["std_msgs/msg/Header"](stamp=m[3].header.stamp, frame_id="body"),
+                child_frame_id="base_link",
+                transform=TYPES["geometry_msgs/msg/Transform"](
+                    translation=TYPES["geometry_msgs/msg/Vector3"](
+                        x=3.0 + speed * (m[0] - first) * 1e-9, y=1.0, z=0.5
+                    ),
+                    rotation=TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.6, w=0.8),
+                ),
+            )
+            tf = TYPES["tf2_msgs/msg/TFMessage"](transforms=[edge])
+            out.append([m[0], "/tf", "tf2_msgs/msg/TFMessage", tf])
+    trial = opened(write(tmp_path / "a.mcap", out), "frames.base=base_link")
+    assert any("'base_link' moves in 'body'" in n for n in trial.notes) == (speed > 0)
+
+
 def test_intrinsics_of_a_former_mode_do_not_count(
     tmp_path: Path, messages: list[Message], original: list[Any]
 ) -> None:

@@ -2552,6 +2552,24 @@ MUTANTS = [
         "    narrow, wide = np.exp(-0.5 * square), np.exp(-0.125 * square)",
         "tests/verdict/test_decide.py",
     ),
+    Mutant(
+        "dgeval/recording/cameras.py",
+        "            -moved.get(c.frame_id, 0) if c is not None else 0,\n",
+        "",
+        "tests/recording/test_several_robots.py",
+    ),
+    Mutant(
+        "dgeval/recording/robot.py",
+        "if any(frame in tree.moving and _changes(tree.moving[frame][1]) for frame in above):",
+        "if any(frame in tree.moving for frame in above):",
+        "tests/recording/test_seventh_strangers.py",
+    ),
+    Mutant(
+        "dgeval/recording/clock_checks.py",
+        "        end = (log >= last - quarter) & (log <= last)",
+        "        end = log >= log.max() - quarter",
+        "tests/recording/test_seventh_strangers.py",
+    ),
 ]
 
 
