@@ -57,7 +57,7 @@ def _rarely(ended: Ended, decision: Decision) -> str:
     share = decision.draws.share_reproduced
     if share >= RARELY:
         return ""
-    doubt = "doubt this cause" + (", or the label" if ended.source == "label" else "")
+    doubt = "doubt this cause" + ("" if ended.source == "inferred" else ", or the label")
     return f". In the physics only {share:.0%} of the draws fail as the trial did: {doubt}"
 
 

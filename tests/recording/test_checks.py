@@ -121,7 +121,9 @@ def scan_with(heads: dict[str, ImageHead], cameras: dict[str, tuple[str, int]]) 
         for name, (frame, w) in cameras.items()
     }
     times = {name: TopicTimes(list(range(9)), list(range(9))) for name in heads}
-    return SimpleNamespace(images=heads, cameras=models, times=times, descriptions={}, tf={})
+    return SimpleNamespace(
+        images=heads, cameras=models, times=times, descriptions={}, tf={}, joints={}
+    )
 
 
 def test_colour_that_can_be_aligned_goes_before_aligned_infrared() -> None:

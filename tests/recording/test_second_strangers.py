@@ -270,10 +270,10 @@ def test_a_frame_that_is_in_no_tree_is_named(tmp_path: Path, messages: list[Mess
         value = m[3]
         if m[1] in (COLOUR, DEPTH, INFO):
             value = copy.deepcopy(value)
-            value.header.frame_id = "robot1/" + value.header.frame_id
+            value.header.frame_id = "wrist_" + value.header.frame_id
         listed.append([*m[:3], value])
     trial = opened(write(tmp_path / "a.mcap", listed))
-    assert any("'robot1/" in note and "neither" in note for note in trial.notes)
+    assert any("'wrist_" in note and "neither" in note for note in trial.notes)
 
 
 def test_a_joint_that_turns_on_over_the_end_of_its_range() -> None:
