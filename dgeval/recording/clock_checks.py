@@ -56,14 +56,14 @@ def clock_check(scan: Scan, roles: Roles, clock: ClockConfig) -> tuple[Check | N
         return _of_robot(odd, clock, roles)
     side = "behind" if apart > 0 else "ahead of"
     what = f"the camera's stamps are {abs(apart):.2f} s {side} those of {topic}, by the recorder"
-    mend = f"set clock.colour.offset_ns={round(apart * 1e9) + clock.colour.offset_ns}"
+    mend = f"--set clock.colour.offset_ns={round(apart * 1e9) + clock.colour.offset_ns}"
     camera = _delay(scan, roles.colour, clock.colour.offset_ns)
     depth = _delay(scan, roles.depth, clock.depth.offset_ns)
     assert camera is not None
     robot = camera - apart
     if depth is None or abs(depth - robot) > CLOCKS_TOLD_S:
         depth_apart = apart if depth is None else depth - robot
-        mend += f" and clock.depth.offset_ns={round(depth_apart * 1e9) + clock.depth.offset_ns}"
+        mend += f" --set clock.depth.offset_ns={round(depth_apart * 1e9) + clock.depth.offset_ns}"
     if abs(apart) <= MOST_CLOCKS_APART_S:
         return None, f"{what}; if that is no delay of the images: {mend}"
     return Check("clocks", what, mend), ""
@@ -114,7 +114,7 @@ def _of_robot(odd: dict[str, float], clock: ClockConfig, roles: Roles) -> tuple[
     lines = []
     if joints and len(joints) == len(roles.joints) and np.ptp(list(joints.values())) <= SAME_S:
         ns = round(float(np.median(list(joints.values()))) * 1e9) + clock.hand_joints.offset_ns
-        lines.append(f"clock.hand_joints.offset_ns={ns}")
+        lines.append(f"--set clock.hand_joints.offset_ns={ns}")
     elif joints:
         given = clock.topics | {
             t: round(s * 1e9) + clock.topics.get(t, 0) for t, s in joints.items()
@@ -124,8 +124,8 @@ def _of_robot(odd: dict[str, float], clock: ClockConfig, roles: Roles) -> tuple[
     others = [s for t, s in odd.items() if t not in joints]
     if others:
         ns = round(float(np.median(others)) * 1e9) + clock.camera_pose.offset_ns
-        lines.append(f"clock.camera_pose.offset_ns={ns}")
-    mend = " and ".join(line if line.startswith("--") else f"set {line}" for line in lines)
+        lines.append(f"--set clock.camera_pose.offset_ns={ns}")
+    mend = " ".join(lines)
     if 0 < odd[topic] <= MOST_CLOCKS_APART_S:
         return None, f"{what}; if that is no delay of theirs: {mend}"
     if odd[topic] > 0:

@@ -227,7 +227,7 @@ def _unit_mend(reader: FrameReader, is_integer: bool, factor: float) -> str:
     near = min(UNITS_M, key=lambda unit: abs(np.log(unit / scale)))
     is_near = abs(np.log(near / scale)) < NEAR_UNIT and near != used
     proposed = near if is_near else scale
-    return f"set calibration.depth_scale, in m per unit (probably {proposed:.2g})"
+    return f"--set calibration.depth_scale={proposed:.2g} (m per unit; probably that)"
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def _told(reader: FrameReader, is_integer: bool, clock: ClockConfig, c: Correcti
         return _Told("camera_poses", f"the camera turned by {degrees:.1f}° in its mount", mend)
     if c.later_s != 0.0:
         ns = round(c.later_s * 1e9)
-        mend = f"set clock.colour.offset_ns={ns + clock.colour.offset_ns} and "
+        mend = f"--set clock.colour.offset_ns={ns + clock.colour.offset_ns} --set "
         mend += f"clock.depth.offset_ns={ns + clock.depth.offset_ns}, or the robot's clock by as "
         way = "later" if ns > 0 else "earlier"
         fits = f"pictures taken {abs(ns) * 1e-6:.0f} ms {way} than they are stamped"
@@ -266,7 +266,7 @@ def _told(reader: FrameReader, is_integer: bool, clock: ClockConfig, c: Correcti
         ns = round(c.depth_later_s * 1e9)
         way = "later" if ns > 0 else "earlier"
         fits = f"depth taken {abs(ns) * 1e-6:.0f} ms {way} than it is stamped, colour as it is"
-        mend = f"set clock.depth.offset_ns={ns + clock.depth.offset_ns}"
+        mend = f"--set clock.depth.offset_ns={ns + clock.depth.offset_ns}"
         return _Told("clocks", fits, mend)
     offset_m = reader.camera.depth_offset_m + c.farther_m
     way = "farther away" if c.farther_m > 0 else "nearer"

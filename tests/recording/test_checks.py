@@ -48,7 +48,7 @@ def test_the_mend_of_a_clock_mends_it(
     clock, _ = clock_check(trial.scan, trial.roles, Config().clock)
     assert clock is not None
     assert f"{abs(by_s):.2f} s {word}" in clock.what
-    settings = clock.mend.removeprefix("set ").split(" and ")
+    settings = clock.mend.removeprefix("--set ").split(" --set ")
     assert "clocks" not in [c.name for c in opened(path, *settings).checks]
 
 

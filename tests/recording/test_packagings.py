@@ -302,7 +302,7 @@ def test_a_camera_with_a_clock_of_its_own(tmp_path: Path, messages: list[Message
     path = write(tmp_path / "a.mcap", made)
     names = [c.name for c in opened(path).checks]
     assert names == ["clocks", "poses"]
-    mend = opened(path).checks[0].mend.removeprefix("set ").split(" and ")
+    mend = opened(path).checks[0].mend.removeprefix("--set ").split(" --set ")
     assert opened(path, *mend).checks == ()
 
 

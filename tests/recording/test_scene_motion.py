@@ -342,7 +342,7 @@ def test_depth_that_is_too_small_fails_its_check(tmp_path: Path, messages: list[
     wrong = [_with_depth(m, lambda mm: 0.4 * mm) if m[1] == DEPTH else m for m in messages]
     (told,) = opened(write(tmp_path / "a.mcap", wrong)).checks
     assert told.name == "depth_unit"
-    assert "probably 0.0025" in told.mend
+    assert "--set calibration.depth_scale=0.0025 " in told.mend
 
 
 def _delayed(message: Message, by_ns: int) -> Message:

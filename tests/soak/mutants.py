@@ -526,8 +526,8 @@ MUTANTS = [
     ),
     Mutant(
         JUDGE,
-        "max(sorted(set(links)), key=links.count)",
-        "links[0]",
+        "max(names, key=lambda name: weight[name]) if names else None",
+        "names[0] if names else None",
         f"{TEST_SENTENCE}::test_the_link_that_most_draws_name",
     ),
     Mutant(
@@ -2128,8 +2128,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/verdict/judge.py",
-        "if 2 * path.sd_velocity <= max(DOUBTFUL_SHARE * speed, DOUBTFUL_M_S):",
-        "if path.sd_velocity <= max(DOUBTFUL_SHARE * speed, 0.01):",
+        "if 2 * path.sd_velocity > max(DOUBTFUL_SHARE * speed, DOUBTFUL_M_S):",
+        "if path.sd_velocity > max(DOUBTFUL_SHARE * speed, 0.01):",
         "tests/verdict/test_sentence.py::test_a_speed_from_few_sightings_is_told",
     ),
     Mutant(
@@ -2392,8 +2392,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/joint_names.py",
-        "len(one[1]) < max(LEAST, len(links & set(frames)) + 1)",
-        "len(one[1]) < LEAST",
+        "len(one[1]) < max(least, len(links & set(frames)) + 1)",
+        "len(one[1]) < least",
         "tests/recording/test_joint_names.py::test_frames_that_are_the_descriptions_own_get_no_prefix",
     ),
     Mutant(
