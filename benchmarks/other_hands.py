@@ -5,8 +5,8 @@ the hand of the truth is MuJoCo's import of the URDF, that of the verdict what t
 description gives, with meshes and with capsules in their place. The same seeds with the five-finger
 hand by name stand beside. `--wrong` puts an error into the description alone. `--per-class` works
 out the truth of trial after trial, of each scenario in turn, until there are so many failures of
-each class, and judges those. What an earlier run of the same command has worked out is kept: of the
-truth and the verdicts each row is written as it is made (`.jsonl` beside the results).
+each class, and judges those. What an earlier run of the same command and the same sources has
+worked out is kept: each row is written as it is made (`.jsonl` beside the results).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from dgeval.worlds.hand_and_object import UnstableError
 from dgeval.worlds.objects import ten_objects
 
 from benchmarks.modelled import hindsight_of_run, log_of_run
-from benchmarks.result import RESULTS, table, write
+from benchmarks.result import RESULTS, source_digest, table, write
 from benchmarks.verdict import MIN_TICKS
 
 HERE = Path(__file__).parent / "hands"
@@ -218,14 +218,15 @@ class Kept:
     """Rows of jobs, written as they are made, and read where a run was broken off."""
 
     def __init__(self, path: Path, pool: ProcessPoolExecutor) -> None:
-        self.path, self.pool = path, pool
+        self.path, self.pool, self.sources = path, pool, source_digest()
         lines = path.read_text("utf-8").splitlines() if path.exists() else []
         self.rows = {row["job"]: row for row in map(json.loads, lines)}
 
     def judged(self, jobs: list[Job]) -> Iterator[dict[str, Any]]:
         """A row for each job, in order."""
         names = [
-            f"{j.hand} {Path(j.scenario).stem} {j.seed} {j.index} {j.ways} {j.wrong} {j.until}"
+            f"{self.sources} {j.hand} {Path(j.scenario).stem} {j.seed} {j.index} {j.ways} "
+            f"{j.wrong} {j.until}"
             for j in jobs
         ]
         new = [(n, j) for n, j in zip(names, jobs, strict=True) if n not in self.rows]

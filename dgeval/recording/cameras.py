@@ -96,7 +96,7 @@ def choose_camera(
     colours = [config.colour] if config.colour else colour_topics(scan, heads)
     depths = [config.depth] if config.depth else depth_topics(scan, heads)
 
-    def rank(pair: tuple[str, str]) -> tuple[bool, int, int, bool, bool, int, int]:
+    def rank(pair: tuple[str, str]) -> tuple[bool, tuple[int, ...], bool, bool, int, int]:
         c, d = heads.get(pair[0]), heads.get(pair[1])
         aligned = c is not None and d is not None and is_aligned(c, d)
         alignable = (
@@ -106,18 +106,15 @@ def choose_camera(
         stereo = c is not None and (c.encoding in GREY or _has(pair[0], *STEREO))
         return (
             not (aligned or alignable),
-            -moved.get(c.frame_id, 0) if c is not None else 0,
-            -carried.get(c.frame_id, 0) if c is not None else 0,
+            carried[c.frame_id] if c is not None else (),
             stereo,
             not aligned,
             colours.index(pair[0]),
             depths.index(pair[1]),
         )
 
-    carried, moved = (
-        {f: moving_edges(parents, f) for f in sorted(_frames(heads))}
-        for parents in (_parents(scan, None), _parents(scan, _ways(scan)))
-    )
+    trees = (_parents(scan, _ways(scan)), _parents(scan, None))
+    carried = {f: tuple(-moving_edges(tree, f) for tree in trees) for f in sorted(_frames(heads))}
     pairs = list(product(colours, depths))
     colour, depth = min(pairs, key=rank) if pairs else (None, None)
     colour = colour or (colours[0] if colours else None)

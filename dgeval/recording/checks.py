@@ -31,6 +31,7 @@ from dgeval.recording.contract import (
     EVENT_KEY,
     EVENT_KINDS,
     FAILURE_LABELS,
+    GIVE_A_LABEL,
     LIFT_EVENT,
     OWN_PREFIXES,
     SUCCESS_LABELS,
@@ -155,7 +156,7 @@ def unread_results(scan: Scan) -> list[str]:
     if not listed:
         return []
     what = f"{', '.join(listed)} may say how it ended, and is not read"
-    return [f"{what}; if so: --label success or --label failure, or label in a manifest"]
+    return [f"{what}; if so: {GIVE_A_LABEL}, or label in a manifest"]
 
 
 def events_elsewhere(scan: Scan) -> list[str]:
@@ -275,7 +276,7 @@ def event_checks(
     colour_ns: of all usable colour images.
     """
     failed: list[Check] = []
-    mend = "give it with --label success or --label failure, or label in a manifest"
+    mend = f"give it with {GIVE_A_LABEL}, or label in a manifest"
     if scan.not_events:
         words = ", ".join(repr(text[:60]) for text in scan.not_events[:MOST_WORDS])
         what = f"{len(scan.not_events)} events are not understood: {words}"

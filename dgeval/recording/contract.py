@@ -129,6 +129,9 @@ SUCCESS_LABELS: Final = ("success", "succeeded", "successful", "pass", "passed",
 FAILURE_LABELS: Final = ("failure", "fail", "failed", "unsuccessful")
 """Words of an operator for a failure."""
 
+GIVE_A_LABEL: Final = "--label success or --label failure"
+"""How an operator's word is given, in messages; without a pipe, which a shell would run."""
+
 
 def label_of(text: object) -> Literal["success", "failure"] | None:
     """What an operator's label says; None for a word that is neither."""

@@ -13,7 +13,13 @@ from dgeval.errors import DgevalError, UnreadableError
 from dgeval.recording.check import Check
 from dgeval.recording.containers.container import sha256_of
 from dgeval.recording.containers.opening import open_container
-from dgeval.recording.contract import BELIEF_PREFIX, GRASP_TOPIC, TARGET_TOPIC, TRUTH_PREFIX
+from dgeval.recording.contract import (
+    BELIEF_PREFIX,
+    GIVE_A_LABEL,
+    GRASP_TOPIC,
+    TARGET_TOPIC,
+    TRUTH_PREFIX,
+)
 from dgeval.recording.manifest import TrialSpec, find_trials
 from dgeval.recording.pairing import pair_images
 from dgeval.recording.robot import RobotStates, robot_states
@@ -272,7 +278,7 @@ def _answers(
     poses = trial.scan.poses if isinstance(trial, Trial) else {}
     presses = robot is not None and any(e for s in robot.samples for e in s.efforts.values())
     seen = "the object is seen after the lift, as neither a label nor efforts say how it ended; "
-    seen += "else --label success or --label failure"
+    seen += f"else {GIVE_A_LABEL}"
     belief = [topic for topic in (GRASP_TOPIC, TARGET_TOPIC) if len(poses.get(topic, ())) < 2]
     own_hand = robot.hand if robot is not None else None
     plans = isinstance(own_hand, KnownHand) and own_hand.grasp_network == "ffhnet"

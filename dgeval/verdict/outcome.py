@@ -19,6 +19,7 @@ from dgeval.failure_rule import (
 from dgeval.geometry import Array, transform
 from dgeval.hindsight.moments import hand_distance
 from dgeval.hindsight.second_pass import Hindsight
+from dgeval.recording.contract import GIVE_A_LABEL
 from dgeval.recording.messages import JointSample
 from dgeval.recording.robot import RobotStates
 from dgeval.robots.described_hand import DescribedHand
@@ -27,7 +28,6 @@ from dgeval.verdict.described_grip import described_grip, rest_of_closed
 from dgeval.verdict.evidence import MIN_REGISTERED
 from dgeval.verdict.log import TrialLog
 
-LABEL = "--label success or --label failure"
 AFTER_S = 1.0  # s after the close, from which fingers at rest tell what they hold; ours
 POSE_STEP_NS = 50_000_000  # ns, between the times at which the palm is asked for
 MOVED_M = 0.01  # m, by which a hand that stood still seems to move at most; ours
@@ -100,7 +100,7 @@ def _shown(log: TrialLog, hindsight: Hindsight | None) -> Ended:
         efforts = [e for s in log.hand_samples for e in s.efforts.values()]
         if efforts and not any(efforts):
             why += " (all efforts are 0, as where they are not measured)"
-        return Ended("unknown", None, f"{why}; an operator's word does: {LABEL}")
+        return Ended("unknown", None, f"{why}; an operator's word does: {GIVE_A_LABEL}")
     if fingers is not None and seen is not None and fingers[0] != seen[0]:
         return Ended("unknown", None, f"{fingers[1]}, but {seen[1]}")
     held = (fingers or seen)[0]  # type: ignore[index]
@@ -158,7 +158,7 @@ def _without_close(log: TrialLog, hindsight: Hindsight | None) -> Ended:
         why += (
             ", but the log ends while it moves and no trial_end is marked: what came then is not "
         )
-        return Ended("unknown", None, f"{why}known; an operator's word is: {LABEL}")
+        return Ended("unknown", None, f"{why}known; an operator's word is: {GIVE_A_LABEL}")
     if outcome == "unknown":
         return Ended(outcome, None, why)
     if outcome == "failure" and (doubt := _doubt_without_close(log, hindsight)):
@@ -178,7 +178,8 @@ def _doubt_without_close(log: TrialLog, hindsight: Hindsight | None) -> str:
         if near is not None and near[0] < NEAR_M:
             return (
                 "the hand is at the object from the first frame on and does not close: does the "
-                f"log begin after the close? Record the approach, or an operator's word is: {LABEL}"
+                "log begin after the close? Record the approach, or an operator's word is: "
+                f"{GIVE_A_LABEL}"
             )
     if not _same_throughout(log):
         return ""

@@ -2554,8 +2554,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/cameras.py",
-        "            -moved.get(c.frame_id, 0) if c is not None else 0,\n",
-        "",
+        "trees = (_parents(scan, _ways(scan)), _parents(scan, None))",
+        "trees = (_parents(scan, None), _parents(scan, None))",
         "tests/recording/test_several_robots.py",
     ),
     Mutant(

@@ -286,18 +286,21 @@ def test_what_did_not_fail_has_no_cause(stages: Replace, ended: Ended) -> None:
     assert asked.asked == ()
 
 
+def sighted(n: int, lasted_s: float, way_m: float, speed: float, sd: float) -> Any:
+    """Hindsight of n sightings over a straight way, with a speed at its end, m/s, and its sd."""
+    path = SimpleNamespace(
+        velocity=np.array([[speed, 0.0, 0.0]]),
+        sd_velocity=sd,
+        t_ns=np.linspace(0, lasted_s * 1e9, n),
+        position=np.linspace([0.0, 0, 0], [way_m, 0, 0], n),
+    )
+    return hindsight(path=path)
+
+
 def test_a_speed_from_few_sightings_is_told(stages: Replace) -> None:
     """Catches 0.053 m/s, of seven sightings in 0.4 s, said as if it were known: it was 0.040."""
     stages(ended=Ended("success", "label", "an operator's label says so"))
-    brief = hindsight(
-        path=SimpleNamespace(
-            velocity=np.array([[0.053, 0.0, 0.0]]),
-            sd_velocity=0.0057,
-            t_ns=np.linspace(0, 400_000_000, 7),
-            position=np.linspace([0.0, 0, 0], [0.021, 0, 0], 7),
-        )
-    )
-    found = judge(trial(), brief, CONFIG, 0)
+    found = judge(trial(), sighted(7, 0.4, 0.021, 0.053, 0.0057), CONFIG, 0)
     assert not any("at the end" in note for note in found.notes)
     assert found.notes[0] == (
         "speed_measured, 0.053 m/s, is known to ± 0.011 m/s alone: the undisturbed object was seen "
@@ -308,15 +311,7 @@ def test_a_speed_from_few_sightings_is_told(stages: Replace) -> None:
 def test_the_speed_of_what_hardly_got_on_is_told(stages: Replace) -> None:
     """Catches 0.077 m/s for a thing in a shelf: so it was at the end of 13 s alone."""
     stages(ended=Ended("success", "label", "an operator's label says so"))
-    shelf = hindsight(
-        path=SimpleNamespace(
-            velocity=np.array([[0.077, 0.0, 0.0]]),
-            sd_velocity=0.001,
-            t_ns=np.linspace(0, 13_000_000_000, 12),
-            position=np.linspace([0.0, 0, 0], [0.026, 0, 0], 12),
-        )
-    )
-    (note, _) = judge(trial(), shelf, CONFIG, 0).notes
+    (note, _) = judge(trial(), sighted(12, 13.0, 0.026, 0.077, 0.001), CONFIG, 0).notes
     assert note == (
         "speed_measured, 0.077 m/s, is that at the end: from its first to its last undisturbed "
         "sighting, in 13.0 s, the object got 0.026 m far, 0.002 m/s"
