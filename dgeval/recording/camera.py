@@ -34,7 +34,9 @@ class Camera:
     depth is dropped where it is not 0; None without one. alignment: of depth that has its own
     camera; None for depth that is aligned as recorded. lens, depth_lens: of the colour and of the
     depth pictures; None without distortion. notes: what was assumed. doubt: what makes the
-    alignment doubtful, "" without. depth_offset_m: what is added to all depth, m.
+    alignment doubtful, "" without. depth_offset_m: what is added to all depth, m. depth_shrunk: how
+    wide a depth picture is that counts as resized, as share of its camera_info's width; 1.0 where
+    both are alike.
     """
 
     intrinsics: Intrinsics
@@ -46,6 +48,7 @@ class Camera:
     depth_lens: Lens | None = None
     doubt: str = ""
     depth_offset_m: float = 0.0
+    depth_shrunk: float = 1.0
 
     def metres(self, pixels: Pixels) -> NDArray[np.float32]:
         """Depth (H, W) float32 m as it is recorded, 0 where there is no reading.
@@ -89,13 +92,22 @@ def camera_of(
     intrinsics or for a bad mask; UnreadableError for depth that can't be aligned.
     """
     intrinsics, notes, lens = _intrinsics(scan, colour_topic, roles.intrinsics, config)
-    alignment, depth_lens, doubt = None, lens, ""
+    alignment, depth_lens, doubt, shrunk = None, lens, "", 1.0
     if not aligned(scan, colour_topic, depth_topic):
         alignment, depth_lens = _alignment(
             scan, colour_topic, depth_topic, roles.depth_intrinsics, intrinsics, tree, t_ns, config
         )
-        frames = scan.images[depth_topic].frame_id, scan.images[colour_topic].frame_id
-        is_stated = scan.cameras.get(roles.depth_intrinsics or "") is not None
+        head, stated = scan.images[depth_topic], scan.cameras.get(roles.depth_intrinsics or "")
+        frames = head.frame_id, scan.images[colour_topic].frame_id
+        is_stated = stated is not None
+        if stated is not None and head.width and stated.intrinsics.width:
+            shrunk = head.width / stated.intrinsics.width
+            if shrunk != 1.0:
+                notes.append(
+                    f"{depth_topic} is {head.width}x{head.height}, its camera_info "
+                    f"{roles.depth_intrinsics} of {stated.intrinsics.width}x"
+                    f"{stated.intrinsics.height}: taken as resized"
+                )
         if is_stated and alignment.depth == intrinsics and config.T_colour_depth is None:
             # no two sensors are alike to the last digit
             apart = float(np.linalg.norm(alignment.T_colour_depth[:3, 3]))
@@ -120,7 +132,7 @@ def camera_of(
         mask = lens.mask(mask)
     offset_m = config.depth_offset_m
     return Camera(
-        intrinsics, scale, mask, tuple(notes), alignment, lens, depth_lens, doubt, offset_m
+        intrinsics, scale, mask, tuple(notes), alignment, lens, depth_lens, doubt, offset_m, shrunk
     )
 
 

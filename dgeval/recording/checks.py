@@ -171,6 +171,27 @@ def events_elsewhere(scan: Scan) -> list[str]:
     ]
 
 
+def poses_elsewhere(scan: Scan, roles: Roles) -> list[str]:
+    """A note on poses in the camera's frame that nothing uses, where the log marks no target: a
+    pose estimator's, by whatever name. None without.
+    """
+    seen = {scan.images[t].frame_id for t in (roles.colour, roles.depth) if t in scan.images}
+    used = {roles.camera_pose, roles.hand_pose, *roles.target}
+    listed = [
+        topic
+        for topic, poses in sorted(scan.poses.items())
+        if poses
+        and poses[0].parent
+        and poses[0].parent in seen
+        and topic not in used
+        and not topic.startswith(OWN_PREFIXES)
+    ]
+    if roles.target or not listed:
+        return []
+    what = f"{', '.join(listed)}: poses in the camera's frame, not read; if they are the target's"
+    return [f"{what}: --set roles.target={listed[0]}"]
+
+
 def _poses(scan: Scan, robot: RobotStates, window: Window) -> list[Check]:
     """Whether the camera's pose is known in most frames, and near the palm that it moves with."""
     if robot.base_frame is None:

@@ -61,7 +61,7 @@ class CloseKnown:
     missing: why no close is known; None where one is, or where the hand is known not to have
     closed. note: for the trial's row, "" without. fingers_ns: when the fingers are seen to begin to
     close; None where that is not seen. late: in words, why the close is marked too late, "" where
-    it is not.
+    it is not. before_ns: the close of the attempt before this one; None without one.
     """
 
     events: Events
@@ -70,6 +70,7 @@ class CloseKnown:
     note: str = ""
     fingers_ns: int | None = None
     late: str = ""
+    before_ns: int | None = None
 
 
 def close_of(
@@ -104,7 +105,7 @@ def close_of(
         events = _with(events, CLOSE_EVENT, given_ns)
         return CloseKnown(events, "manifest", None, note, fingers_ns)
     if events.first_ns(CLOSE_EVENT) is not None:
-        events, note = _last_attempt(events, first_ns)
+        events, note, before_ns = _last_attempt(events, first_ns)
         still = isinstance(found, NoClose) and found.fingers_seen and found.motion_ns is None
         if still and first_ns <= (events.first_ns(CLOSE_EVENT) or 0) <= last_ns:
             note = "; ".join(filter(None, [note, "a close is marked" + STILL_FINGERS]))
@@ -112,7 +113,7 @@ def close_of(
         late = _marked_late(marked_ns, found, first_ns)
         early = _marked_early(marked_ns, fingers_ns, first_ns)
         note = "; ".join(filter(None, [note, early]))
-        return CloseKnown(events, "event", None, note, fingers_ns, late)
+        return CloseKnown(events, "event", None, note, fingers_ns, late, before_ns)
     told = _by_grippers(robot, grippers, first_ns, last_ns, ("command",))
     if told is None and isinstance(found, NoClose) and not found.fingers_seen:
         told = _by_grippers(robot, grippers, first_ns, last_ns, ("width",)) or _by_grippers(
@@ -171,7 +172,8 @@ def close_of(
         f"(± {max(found.period_s, 0.03):.2f} s), before the palm rises"
         f"{_attempts_before(found.earlier_ns, first_ns)}; if that is wrong: {MENDS}"
     )
-    return CloseKnown(events, "joints", None, note, fingers_ns)
+    before_ns = max(found.earlier_ns, default=None)
+    return CloseKnown(events, "joints", None, note, fingers_ns, before_ns=before_ns)
 
 
 def _marked_late(close_ns: int, found: Inferred | NoClose, first_ns: int) -> str:
@@ -198,13 +200,13 @@ def _marked_early(close_ns: int, fingers_ns: int | None, first_ns: int) -> str:
     )
 
 
-def _last_attempt(events: Events, first_ns: int) -> tuple[Events, str]:
+def _last_attempt(events: Events, first_ns: int) -> tuple[Events, str, int | None]:
     """The events with the close that decides: the last before the last lift, or of all without a
-    lift after one; and a note on the others.
+    lift after one; a note on the others, and the last one before it, ns.
     """
     closes = [e.t_ns for e in events if e.kind == CLOSE_EVENT]
     if len(closes) < 2:
-        return events, ""
+        return events, "", None
     lifts = [e.t_ns for e in events if e.kind == LIFT_EVENT]
     before_lift = [t for t in closes if lifts and t <= lifts[-1]]
     last = (before_lift or closes)[-1]
@@ -214,7 +216,8 @@ def _last_attempt(events: Events, first_ns: int) -> tuple[Events, str]:
         events = _with(events, LIFT_EVENT, after[0])
     at = (last - first_ns) * 1e-9
     others = tuple(t for t in closes if t != last)
-    return events, f"the close at {at:+.2f} s decides{_attempts_before(others, first_ns)}"
+    note = f"the close at {at:+.2f} s decides{_attempts_before(others, first_ns)}"
+    return events, note, max((t for t in closes if t < last), default=None)
 
 
 def _attempts_before(closes: tuple[int, ...], first_ns: int) -> str:

@@ -7,7 +7,7 @@ target another colour, and no other check sees it over a flat table.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -31,6 +31,7 @@ TURNS = {  # of an (H, W) picture, and the sign of its edges' direction
     "upside down": (slice(None, None, -1), slice(None), -1.0),
     "turned by 180°": (slice(None, None, -1), slice(None, None, -1), 1.0),
 }
+CUT = "as the middle of a larger picture"
 Planes = NDArray[np.float32]
 
 
@@ -38,8 +39,8 @@ Planes = NDArray[np.float32]
 class DepthOff:
     """Depth that does not lie on colour.
 
-    turned: a key of TURNS, "" where it is only shifted. right, down: px of the frames, by which
-    depth lies beside colour. share: of the frames' width, that they make together.
+    turned: a key of TURNS, or CUT, "" where it is only shifted. right, down: px of the frames, by
+    which depth lies beside colour. share: of the frames' width, that they make together.
     """
 
     turned: str
@@ -48,13 +49,17 @@ class DepthOff:
     share: float = 0.0
 
 
-def depth_off(frames: Sequence[Frame]) -> DepthOff | None:
+def depth_off(frames: Sequence[Frame], shrunk: float = 1.0) -> DepthOff | None:
     """How depth lies beside colour in these frames; None where it fits, or where too little shows.
+
+    shrunk: how wide depth is that counts as resized, as share of the picture it was made of; it may
+    have been cut out of its middle instead.
 
     The score of a shift is the mean, over the near side's pixels at steps of depth, of colour's
     gradient there, and of how far both run the same way.
     """
-    edges = [(_colour_edges(f), _depth_edges(f)) for f in frames]
+    coloured = [(f, _colour_edges(f)) for f in frames]
+    edges = [(colour, _depth_edges(f)) for f, colour in coloured]
     edges = [(colour, depth) for colour, depth in edges if depth[0].sum() >= LEAST_EDGE]
     if len(edges) < LEAST_FRAMES:
         return None
@@ -64,6 +69,11 @@ def depth_off(frames: Sequence[Frame]) -> DepthOff | None:
         name: float(np.mean([_scores(c, _turned(d, *turn), AGREE) for c, d in edges], axis=0).max())
         for name, turn in TURNS.items()
     }
+    if shrunk < 1.0:
+        cut = [(c, _depth_edges(replace(f, depth=_middle(f.depth, shrunk)))) for f, c in coloured]
+        cut = [(colour, depth) for colour, depth in cut if depth[0].sum() >= LEAST_EDGE]
+        if len(cut) >= LEAST_FRAMES:
+            by_turn[CUT] = float(np.mean([_scores(c, d, AGREE) for c, d in cut], axis=0).max())
     name = max(by_turn, key=lambda turn: by_turn[turn])
     if by_turn[name] >= max(TURNED_SCORE, best + TURNED_BETTER):
         return DepthOff(name)
@@ -78,6 +88,17 @@ def depth_off(frames: Sequence[Frame]) -> DepthOff | None:
         return None
     down, right = -found * frames[0].depth.shape[1] / WIDTH
     return DepthOff("", float(right), float(down), float(np.hypot(*found)) / WIDTH)
+
+
+def _middle(depth: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """Depth made smaller, in the middle of a picture of the same size without readings."""
+    height, width = depth.shape
+    rows, columns = round(height * share), round(width * share)
+    small = cv2.resize(depth, (columns, rows), interpolation=cv2.INTER_NEAREST)
+    out = np.zeros_like(depth)
+    top, left = (height - rows) // 2, (width - columns) // 2
+    out[top : top + rows, left : left + columns] = small
+    return out
 
 
 def _best(scores: Planes) -> tuple[NDArray[np.int64], float, float]:

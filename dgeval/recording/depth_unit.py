@@ -7,7 +7,7 @@ way from things that move with the camera; only the range says it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -19,6 +19,11 @@ SMOOTHER = 0.1  # times as rough, at most, is depth whose swapped bytes are put 
 # m, between which the middle depth of a manipulation scene lies; ours
 LEAST_DEPTH_M, MOST_DEPTH_M = 0.08, 10.0
 LEAST_CUT = 0.05  # share of the readings that have the largest one, where depth is cut there; ours
+# sides of the patches that may be planes, in parts of the picture's width; how many of its columns
+# are looked at; share of the readings that count; of their middle, by which a plane may miss them;
+# and by how many times the other way must miss them more, for a vote; ours
+PATCHES, COLUMNS, INLIERS, IS_PLANE, FITS_BETTER = (4, 3, 2), 160, 0.9, 0.004, 2.5
+LEAST_VOTES_INVERSE, MOSTLY_INVERSE = 12, 0.9  # patches that vote, and the share that agrees; ours
 FACTORS = np.geomspace(0.03, 30.0, 41)  # tried; neighbours differ by 19 %
 LEAST_VOTES, AGREE = 3, 1.5  # pairs that must vote, and the factor within which half must agree
 # times, by which depth must be too large to be called wrong; something that comes towards the
@@ -46,6 +51,56 @@ def wrong_unit(frames: Sequence[Frame], pairs: Sequence[MovedPair]) -> tuple[str
         return None
     what = f"the camera's motion fits depth that is {by_motion:.2g} times as large"
     return f"{what} (the middle depth is {middle:.3g} m)", by_motion
+
+
+def is_inverse(frames: Sequence[Frame]) -> bool:
+    """Whether the readings are 1/m, as disparity is, and not m.
+
+    Over a plane 1/z is linear in the pixel's place, and z is not. So in patches that one of both
+    fits well, and the other doesn't, the one that fits is 1/z. A plane that faces the camera, or
+    that is far away, fits both ways and tells nothing.
+    """
+    votes: list[bool] = []
+    for frame in frames:
+        step = max(1, frame.depth.shape[1] // COLUMNS)
+        depth = frame.depth[::step, ::step].astype(np.float64)
+        for parts in PATCHES:
+            for patch in _patches(depth, depth.shape[1] // parts):
+                as_read, inverse = _misses(patch), _misses(_inverted(patch))
+                better, worse = sorted((as_read, inverse))
+                if better <= IS_PLANE and worse > FITS_BETTER * better:
+                    votes.append(as_read < inverse)
+    return len(votes) >= LEAST_VOTES_INVERSE and float(np.mean(votes)) >= MOSTLY_INVERSE
+
+
+def _patches(depth: Array, side: int) -> Iterator[Array]:
+    """Squares of so many px, each half beside the one before, with readings nearly everywhere."""
+    height, width = depth.shape
+    for top in range(0, height - side + 1, max(1, side // 2)):
+        for left in range(0, width - side + 1, max(1, side // 2)):
+            patch = depth[top : top + side, left : left + side]
+            if (patch > 0).mean() >= INLIERS:
+                yield patch
+
+
+def _inverted(depth: Array) -> Array:
+    return np.where(depth > 0, 1.0 / np.where(depth > 0, depth, 1.0), 0.0)
+
+
+def _misses(patch: Array) -> float:
+    """By how much, of its middle value, the readings > 0 of a patch miss a linear one: the root of
+    the mean square over the nearest ones, INLIERS of them.
+    """
+    v, u = np.nonzero(patch > 0)
+    known = patch[v, u]
+    linear = np.stack([u, v, np.ones_like(u)], axis=1).astype(np.float64)
+    near = np.ones(len(known), dtype=bool)
+    miss = np.zeros(len(known))
+    for _ in range(2):
+        fit = np.linalg.lstsq(linear[near], known[near], rcond=None)[0]
+        miss = np.abs(known - linear @ fit)
+        near = miss <= np.quantile(miss, INLIERS)
+    return float(np.sqrt(np.mean(miss[near] ** 2)) / np.median(known))
 
 
 def bytes_swapped(frames: Sequence[Frame], scale: float | None) -> float | None:

@@ -16,8 +16,8 @@ from dgeval.geometry import Array, pose_from_matrix
 from dgeval.recording.camera_motion import moved_pairs
 from dgeval.recording.camera_poses import wrong_poses
 from dgeval.recording.check import Check
-from dgeval.recording.depth_edges import DepthOff, depth_off
-from dgeval.recording.depth_unit import bytes_swapped, cut_at, wrong_unit
+from dgeval.recording.depth_edges import CUT, DepthOff, depth_off
+from dgeval.recording.depth_unit import bytes_swapped, cut_at, is_inverse, wrong_unit
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.hand_seen import HandOff, hand_off
@@ -66,7 +66,7 @@ def frame_checks(
     if not frames:
         mend = "see encodings and sizes in `dgeval inspect`"
         return [Check("frames", damage.what, mend) for damage in lost.damage], ""
-    beside = depth_off(frames)
+    beside = depth_off(frames, reader.camera.depth_shrunk)
     what, mend = ("", "") if beside is None else _beside(beside)
     if beside is not None and (beside.turned or beside.share >= MUST_TELL_BESIDE):
         return [Check("alignment", what, mend)], ""
@@ -162,6 +162,11 @@ def _shifted_mount(shift: Array, reader: FrameReader, t_ns: int) -> str:
 
 def _beside(off: DepthOff) -> tuple[str, str]:
     """What is said of depth that does not lie on colour, and what mends it."""
+    if off.turned == CUT:
+        what = (
+            "depth is smaller than its camera_info says, and its steps lie on colour's edges only "
+        )
+        return f"{what}{CUT}", "record the camera_info of the pictures that were cut out"
     if off.turned:
         what = f"steps of depth lie on colour's edges only where depth is turned, {off.turned}"
         return what, "record both pictures the same way round (a driver's flip or rotation?)"
@@ -198,6 +203,9 @@ def _of_camera(
 
 def _against_depth(reader: FrameReader, frames: Sequence[Frame], is_integer: bool) -> list[Check]:
     """Whether depth can be metres, and the camera's poses those of its optical frame, by depth."""
+    if is_inverse(frames):
+        what = "flat things are flat only if depth's readings are 1/m (inverse depth, disparity)"
+        return [Check("depth_unit", what, "record depth in metres; no setting turns it over")]
     pairs_moved = moved_pairs(frames)
     found = wrong_unit(frames, pairs_moved)
     if found is not None:

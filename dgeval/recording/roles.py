@@ -43,6 +43,8 @@ SAME_SHAPE = 0.01  # share; a mask whose sides have the picture's ratio within t
 MASK_ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1", "32SC1")
 # parts of a topic's name that say that its joint states were wanted, not measured
 WANTED = ("desired", "command", "cmd", "target", "reference", "setpoint", "goal")
+# parts of a name that say that poses, or a frame on /tf, are an object's: the word, and estimators
+AN_OBJECT = ("object", "foundationpose", "foundation_pose", "megapose", "cosypose", "dope/")
 # parts of a type's name that say that it holds pictures
 PICTURES = ("image", "video", "picture", "theora", "frame")
 # parts of a topic's name that rule it out as the camera or a state of the robot
@@ -182,9 +184,9 @@ def _target_topics(scan: Scan, colour: str | None) -> tuple[str, ...]:
 
     own = [n for n in scan.images if n == MASK_TOPIC and is_mask(n)]
     masks = [n for n in theirs(scan.images) if n != colour and is_mask(n)]
-    poses = [n for n in theirs(scan.poses) if _has(n, "object")]
+    poses = [n for n in theirs(scan.poses) if _has(n, *AN_OBJECT)]
     on_tf = {edge.child for heard in scan.tf.values() for edge in heard.moving}
-    frames = sorted(n for n in on_tf if _has(n, "object"))
+    frames = sorted(n for n in on_tf if _has(n, *AN_OBJECT))
     kinds = (own, masks, theirs(scan.detections), poses, frames)
     return next((tuple(names) for names in kinds if names), ())
 

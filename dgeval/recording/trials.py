@@ -21,6 +21,7 @@ from dgeval.recording.checks import (
     failed_checks,
     pair_check,
     part_check,
+    poses_elsewhere,
     unread_results,
 )
 from dgeval.recording.choices import (
@@ -207,6 +208,7 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
         *([] if spec.label or events.label() else unread_results(scanned)),
         *_label_not_used(spec, events),
         *events_elsewhere(scanned),
+        *poses_elsewhere(scanned, roles),
         *stamp_notes(window.stamp_faults),
     ]
     lost = LostFrames(opened.damage)

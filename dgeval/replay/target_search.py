@@ -51,20 +51,31 @@ def search_target(trial: Trial, config: Config) -> FoundTarget | None:
     meets the hand.
     """
     marks = marks_of(trial.scan, trial.roles.target, trial.pairs, trial.reader.camera, trial.robot)
-    if marks and max(len(m.boxes) for m in marks) == 1:
-        found = _marked_alone(trial, marks, config)
-        if found is not None:
-            return found
+    is_alone = bool(marks) and max(len(m.boxes) for m in marks) == 1
+    at_mark, is_sure = _marked_alone(trial, marks, config) if is_alone else (None, False)
+    if is_sure:
+        return at_mark
+    found = _nearest_the_grasp(trial, [] if is_alone else marks, config)
+    return found or at_mark or _at_the_chosen_grasp(trial, config)
+
+
+def _nearest_the_grasp(trial: Trial, marks: list[Mark], config: Config) -> FoundTarget | None:
+    """The thing whose way leads nearest to the grasp centre at the close: of those that are marked,
+    else of those in view.
+    """
     centres, near_m = _grasp_centres(trial)
     close_ns = trial.event_ns(CLOSE_EVENT)
     n = len([p for p in trial.pairs if close_ns is None or p.t_ns <= close_ns])
     if trial.robot.base_frame is None or not centres or n < LEAST_SEEN:
         return None
     stamps = [p.t_ns for p in trial.pairs]
-    starts: list[tuple[int, Mark | None]] = [(int(share * n), None) for share in STARTS]
-    spread = [marks[int(share * len(marks))] for share in STARTS] if marks else []
-    marked = [(stamps.index(m.t_ns), m) for m in dict.fromkeys(spread)]
-    for first, mark in [*(m for m in marked if m[0] < n), *starts]:
+    # after an attempt before the one that is judged, the object may be put elsewhere
+    begin = sum(t <= (trial.close.before_ns or 0) for t in stamps)
+    starts: list[tuple[int, Mark | None]] = [
+        (begin + int(share * (n - begin)), None) for share in STARTS
+    ]
+    marked = [(stamps.index(m.t_ns), m) for m in _spread(marks)]
+    for first, mark in [*(m for m in marked if begin <= m[0] < n), *starts]:
         reader = replace(
             trial.reader, pairs=trial.pairs[first : min(first + FOLLOWED, n)], lost=LostFrames([])
         )
@@ -82,24 +93,42 @@ def search_target(trial: Trial, config: Config) -> FoundTarget | None:
             apart, box = followed[0]
             topic = None if mark is None else mark.topic
             return FoundTarget(box, frames[0].t_ns, apart, len(followed) - 1, topic)
-    return _at_the_chosen_grasp(trial, config)
+    return None
 
 
-def _marked_alone(trial: Trial, marks: list[Mark], config: Config) -> FoundTarget | None:
-    """The first mark; for a point on the object, of the things there the smallest."""
-    for mark in marks:
-        if not mark.is_point:
-            return FoundTarget(mark.boxes[0], mark.t_ns, None, 0, mark.topic)
-        pairs = tuple(p for p in trial.pairs if p.t_ns == mark.t_ns)
-        frame = next(replace(trial.reader, pairs=pairs, lost=LostFrames([])).frames(), None)
+def _marked_alone(
+    trial: Trial, marks: list[Mark], config: Config
+) -> tuple[FoundTarget | None, bool]:
+    """The first mark, or for a point on the object the smallest of the things there, in the first
+    mark from which it can be followed; and whether it can, else it is that of the first mark.
+    """
+    if not marks[0].is_point:
+        return FoundTarget(marks[0].boxes[0], marks[0].t_ns, None, 0, marks[0].topic), True
+    stamps = [p.t_ns for p in trial.pairs]
+    at_first = None
+    for mark in _spread(marks):
+        first = stamps.index(mark.t_ns)
+        pairs = trial.pairs[first : first + FOLLOWED]
+        frames = list(replace(trial.reader, pairs=pairs, lost=LostFrames([])).frames())
         x0, y0, x1, y1 = mark.boxes[0]
         u, v = (x0 + x1) / 2, (y0 + y1) / 2
-        things = [] if frame is None else candidates(frame, config)
+        things = candidates(frames[0], config) if frames else []
         there = [b for b in things if b[0] <= u < b[2] and b[1] <= v < b[3]]
-        if there:
-            smallest = min(there, key=lambda b: (b[2] - b[0]) * (b[3] - b[1]))
-            return FoundTarget(smallest, mark.t_ns, None, len(things) - 1, mark.topic)
-    return None
+        if not there:
+            continue
+        smallest = min(there, key=lambda b: (b[2] - b[0]) * (b[3] - b[1]))
+        found = FoundTarget(smallest, mark.t_ns, None, len(things) - 1, mark.topic)
+        if _follow(frames, smallest, config) is not None:
+            return found, True
+        at_first = at_first or found
+    return at_first, False
+
+
+def _spread(marks: list[Mark]) -> list[Mark]:
+    """Some of the marks, over all their time, each once."""
+    return (
+        [marks[k] for k in sorted({int(share * len(marks)) for share in STARTS})] if marks else []
+    )
 
 
 def _at_the_chosen_grasp(trial: Trial, config: Config) -> FoundTarget | None:

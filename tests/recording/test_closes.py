@@ -231,12 +231,14 @@ def test_of_several_attempts_the_last_decides(monkeypatch: pytest.MonkeyPatch) -
     assert near(found(made), 3.0, 3.6)
     known = close_of(Events(()), made, 0, 5 * S)
     assert "other attempts at +1.0" in known.note
+    assert known.before_ns == 1 * S
     closes = [Event(t * S, "close", {}) for t in (1, 3)]
     lifts = [Event(t * S // 10, "lift", {}) for t in (15, 36)]
     entries = tuple(sorted([*closes, *lifts], key=lambda e: e.t_ns))
     told = close_of(Events(entries), made, 0, 5 * S)
     assert (told.source, told.events.first_ns("close")) == ("event", 3 * S)
     assert told.events.first_ns("lift") == 3.6 * S
+    assert told.before_ns == 1 * S
     assert "other attempts at +1.00 s" in told.note
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from dgeval.geometry import Intrinsics
-from dgeval.recording.depth_edges import DepthOff, depth_off
+from dgeval.recording.depth_edges import CUT, DepthOff, depth_off
 from dgeval.recording.frame import Frame
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -77,3 +77,13 @@ def test_steps_that_colour_does_not_show_say_nothing() -> None:
     other = [replace(f, colour=SCENES[k - 1].colour) for k, f in enumerate(SCENES)]
     assert depth_off(plain) is None
     assert depth_off(other) is None
+
+
+def test_depth_that_was_cut_and_not_resized_is_told() -> None:
+    """Fails where the middle of a depth picture, under the camera_info of all of it, counts as all
+    of it made smaller; or where depth that was made smaller is called cut.
+    """
+    middle = with_depth(lambda z: cv2.resize(z[120:360, 160:480], (640, 480), interpolation=0))
+    assert depth_off(middle, 0.5) == DepthOff(CUT)
+    resized = with_depth(lambda z: cv2.resize(z[::2, ::2], (640, 480), interpolation=0))
+    assert depth_off(resized, 0.5) is None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from dgeval.geometry import Intrinsics
 from dgeval.recording.camera_motion import moved_pairs
-from dgeval.recording.depth_unit import factor_by_motion, wrong_unit
+from dgeval.recording.depth_unit import factor_by_motion, is_inverse, wrong_unit
 from dgeval.recording.frame import Frame
 
 CAMERA = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
@@ -69,3 +69,16 @@ def test_what_comes_towards_the_camera_is_no_wrong_unit() -> None:
     camera = [plane(0.6 - 0.03 * k, 0.0, 0.2, 1.0, k) for k in range(6)]
     frames = [replace(a, T_base_camera=b.T_base_camera) for a, b in zip(seen, camera, strict=True)]
     assert wrong_unit(frames, moved_pairs(frames)) is None
+
+
+def test_inverse_depth_is_told_by_what_is_flat() -> None:
+    """Fails where disparity in 1/m, which about 1 m away has the size of depth, passes for metres,
+    or where depth in metres is called inverse.
+    """
+    tilted = [plane(0.8, 0.03 * k, 0.5, 1.0, k) for k in range(6)]
+    inverse = [replace(f, depth=(1.0 / f.depth).astype(np.float32)) for f in tilted]
+    assert is_inverse(inverse)
+    assert not is_inverse(tilted)
+    from_above = [plane(0.8, 0.03 * k, 0.0, 1.0, k) for k in range(6)]
+    assert not is_inverse(from_above)
+    assert not is_inverse([replace(f, depth=np.zeros_like(f.depth)) for f in tilted])

@@ -204,3 +204,49 @@ def test_boxes_unusable_of_picture_are_told(
     target = search_target(trial, Config())
     assert target is None or target.topic is None
     assert any(said in note for note in target_note(trial, target))
+
+
+def at_place(frame: str, place: tuple[float, float, float]) -> Any:
+    """Makes the pose of a thing at a place, m, by the axes of a frame."""
+    pose, stamped = TYPES["geometry_msgs/msg/Pose"], TYPES["geometry_msgs/msg/PoseStamped"]
+    point, turn = TYPES["geometry_msgs/msg/Point"], TYPES["geometry_msgs/msg/Quaternion"]
+
+    def make(header: Any) -> Any:
+        header.frame_id = frame
+        x, y, z = place
+        turned = turn(x=0.0, y=0.0, z=0.0, w=1.0)
+        return stamped(header=header, pose=pose(position=point(x=x, y=y, z=z), orientation=turned))
+
+    return make
+
+
+POSE = "geometry_msgs/msg/PoseStamped"
+
+
+def test_poses_of_several_objects_end_in_no_error(tmp_path: Path, unmarked: list[Message]) -> None:
+    """Fails where several marks that hold arrays are compared as a whole: an internal error."""
+    listed = with_marks(unmarked, "/object_1/pose", POSE, at_place(CAMERA, (0.0, 0.0, 0.4)))
+    listed = with_marks(listed, "/object_2/pose", POSE, at_place(CAMERA, (0.1, 0.05, 0.4)))
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert trial.roles.target == ("/object_1/pose", "/object_2/pose")
+    target = search_target(trial, Config())
+    assert target is not None
+
+
+def test_a_pose_estimator_is_known_by_its_name_or_named(
+    tmp_path: Path, unmarked: list[Message]
+) -> None:
+    """Fails where FoundationPose's poses are passed over, or anyone's in the camera's frame without
+    a word.
+    """
+    make = at_place(CAMERA, (0.0, 0.0, 0.4))
+    listed = with_marks(unmarked, "/foundationpose/pose", POSE, make)
+    trial = opened(write(tmp_path / "a.mcap", listed))
+    assert trial.roles.target == ("/foundationpose/pose",)
+    listed = with_marks(unmarked, "/estimator/pose", POSE, make)
+    trial = opened(write(tmp_path / "b.mcap", listed))
+    assert trial.roles.target == ()
+    assert any("--set roles.target=/estimator/pose" in note for note in trial.notes)
+    listed = with_marks(unmarked, "/slam/pose", POSE, at_place("map", (0.0, 0.0, 0.4)))
+    trial = opened(write(tmp_path / "c.mcap", listed))
+    assert not any("/slam/pose" in note for note in trial.notes)

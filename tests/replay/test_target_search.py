@@ -41,6 +41,18 @@ def test_a_recording_without_a_hand_says_nothing(demo: Path) -> None:
     assert search_target(nowhere, Config()) is None
 
 
+def test_the_target_is_looked_for_after_the_attempt_before(demo: Path) -> None:
+    """Fails where an object that was put elsewhere between two grasps is followed from before."""
+    trial = open_trial(find_trials([demo])[0], Config())
+    before_ns = trial.pairs[3].t_ns
+    unmarked = replace(trial, roles=replace(trial.roles, target=()))
+    found = search_target(
+        replace(unmarked, close=replace(trial.close, before_ns=before_ns)), Config()
+    )
+    assert found is not None
+    assert found.t_ns > before_ns
+
+
 @pytest.mark.slow
 def test_the_bundled_recordings_need_no_box() -> None:
     """Fails where three of six track a patch of the belt, as the nearest to the palm does."""
