@@ -55,18 +55,22 @@ def search_target(trial: Trial, config: Config) -> FoundTarget | None:
     at_mark, is_sure = _marked_alone(trial, marks, config) if is_alone else (None, False)
     if is_sure:
         return at_mark
-    found = _nearest_the_grasp(trial, [] if is_alone else marks, config)
+    centres, near_m = _grasp_centres(trial)
+    if trial.robot.base_frame is None or not centres:
+        return at_mark
+    found = _nearest_the_grasp(trial, [] if is_alone else marks, centres, near_m, config)
     return found or at_mark or _at_the_chosen_grasp(trial, config)
 
 
-def _nearest_the_grasp(trial: Trial, marks: list[Mark], config: Config) -> FoundTarget | None:
+def _nearest_the_grasp(
+    trial: Trial, marks: list[Mark], centres: dict[int, Array], near_m: float, config: Config
+) -> FoundTarget | None:
     """The thing whose way leads nearest to the grasp centre at the close: of those that are marked,
-    else of those in view.
+    else of those in view. centres, near_m: as `_grasp_centres` gives them.
     """
-    centres, near_m = _grasp_centres(trial)
     close_ns = trial.event_ns(CLOSE_EVENT)
     n = len([p for p in trial.pairs if close_ns is None or p.t_ns <= close_ns])
-    if trial.robot.base_frame is None or not centres or n < LEAST_SEEN:
+    if n < LEAST_SEEN:
         return None
     stamps = [p.t_ns for p in trial.pairs]
     # after an attempt before the one that is judged, the object may be put elsewhere
