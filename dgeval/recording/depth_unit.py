@@ -8,11 +8,14 @@ way from things that move with the camera; only the range says it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dgeval.geometry import Array
-from dgeval.recording.camera_motion import LEAST_WORSE, MovedPair
+from dgeval.recording.camera_motion import LEAST_WORSE, MovedPair, moved_pairs
 from dgeval.recording.frame import Frame
 
 SMOOTHER = 0.1  # times as rough, at most, is depth whose swapped bytes are put right; ours
@@ -73,6 +76,13 @@ def is_inverse(frames: Sequence[Frame]) -> bool:
     return len(votes) >= LEAST_VOTES_INVERSE and float(np.mean(votes)) >= MOSTLY_INVERSE
 
 
+def inverse_fits(frames: Sequence[Frame]) -> bool:
+    """Whether the camera's motion fits the readings turned over, 1/m, in most pairs of frames."""
+    pairs = moved_pairs([replace(f, depth=_inverted(f.depth)) for f in frames])
+    votes = sum(pair.as_given <= LEAST_WORSE for pair in pairs)
+    return votes >= LEAST_VOTES and 2 * votes > len(pairs)
+
+
 def _patches(depth: Array, side: int) -> Iterator[Array]:
     """Squares of so many px, each half beside the one before, with readings nearly everywhere."""
     height, width = depth.shape
@@ -83,7 +93,7 @@ def _patches(depth: Array, side: int) -> Iterator[Array]:
                 yield patch
 
 
-def _inverted(depth: Array) -> Array:
+def _inverted(depth: NDArray[Any]) -> NDArray[Any]:
     return np.where(depth > 0, 1.0 / np.where(depth > 0, depth, 1.0), 0.0)
 
 

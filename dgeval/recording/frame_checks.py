@@ -17,7 +17,7 @@ from dgeval.recording.camera_motion import moved_pairs
 from dgeval.recording.camera_poses import wrong_poses
 from dgeval.recording.check import Check
 from dgeval.recording.depth_edges import CUT, DepthOff, depth_off
-from dgeval.recording.depth_unit import bytes_swapped, cut_at, is_inverse, wrong_unit
+from dgeval.recording.depth_unit import bytes_swapped, cut_at, inverse_fits, is_inverse, wrong_unit
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames
 from dgeval.recording.hand_seen import HandOff, hand_off
@@ -203,11 +203,17 @@ def _of_camera(
 
 def _against_depth(reader: FrameReader, frames: Sequence[Frame], is_integer: bool) -> list[Check]:
     """Whether depth can be metres, and the camera's poses those of its optical frame, by depth."""
-    if is_inverse(frames):
-        what = "flat things are flat only if depth's readings are 1/m (inverse depth, disparity)"
-        return [Check("depth_unit", what, "record depth in metres; no setting turns it over")]
     pairs_moved = moved_pairs(frames)
     found = wrong_unit(frames, pairs_moved)
+    robot = reader.robot
+    wrong = None
+    if robot.base_frame is not None and found is None:
+        wrong = wrong_poses(pairs_moved, robot.tree, robot.base_frame, robot.camera_frame)
+    by_motion = (found is not None or wrong is not None) and inverse_fits(frames)
+    if by_motion or is_inverse(frames):
+        by = "the camera's motion fits" if by_motion else "flat things are flat"
+        what = f"{by} only where depth's readings are 1/m (inverse depth, disparity)"
+        return [Check("depth_unit", what, "record depth in metres; no setting turns it over")]
     if found is not None:
         swapped_m = bytes_swapped(frames, reader.camera.depth_scale) if is_integer else None
         if swapped_m is not None:
@@ -215,10 +221,6 @@ def _against_depth(reader: FrameReader, frames: Sequence[Frame], is_integer: boo
             mend = "is_bigendian or the bytes are wrong in the driver; no setting turns them"
             return [Check("depth_unit", what, mend)]
         return [_unit_check(reader, is_integer, *found)]
-    robot = reader.robot
-    if robot.base_frame is None:
-        return []
-    wrong = wrong_poses(pairs_moved, robot.tree, robot.base_frame, robot.camera_frame)
     return [] if wrong is None else [Check("camera_poses", *wrong)]
 
 

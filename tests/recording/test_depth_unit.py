@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from dgeval.geometry import Intrinsics
 from dgeval.recording.camera_motion import moved_pairs
-from dgeval.recording.depth_unit import factor_by_motion, is_inverse, wrong_unit
+from dgeval.recording.depth_unit import factor_by_motion, inverse_fits, is_inverse, wrong_unit
 from dgeval.recording.frame import Frame
 
 CAMERA = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
@@ -82,3 +82,10 @@ def test_inverse_depth_is_told_by_what_is_flat() -> None:
     from_above = [plane(0.8, 0.03 * k, 0.0, 1.0, k) for k in range(6)]
     assert not is_inverse(from_above)
     assert not is_inverse([replace(f, depth=np.zeros_like(f.depth)) for f in tilted])
+
+
+def test_inverse_depth_is_told_by_the_cameras_motion() -> None:
+    """Fails where a table seen from above, on which both ways are flat, hides that z is 1/z."""
+    descent = [plane(0.6 - 0.04 * k, 0.01 * k, 0.2, 1.0, k) for k in range(8)]
+    assert inverse_fits([replace(f, depth=(1.0 / f.depth).astype(np.float32)) for f in descent])
+    assert not inverse_fits(descent)
