@@ -24,6 +24,7 @@ MOVES_WITH_M = 0.01  # m, by which a camera on the palm seems to move in its fra
 T_BODY_OPTICAL = np.array(
     [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
+OPTICAL_IN_BODY = "[0,0,0,-0.5,0.5,-0.5,0.5]"  # the same as a setting, px py pz qx qy qz qw
 
 
 def wrong_poses(
@@ -50,7 +51,10 @@ def wrong_poses(
         return (
             f"the pose of the frame {camera!r} is of the camera's body, x forward and z up, "
             "and not of its optical frame",
-            "record the optical frame as the pictures' frame_id, or name it (frames.camera)",
+            "record the optical frame as the pictures' frame_id, or name it (frames.camera); where "
+            f"there is none: --set frames.camera={camera}_optical "
+            f"--set calibration.flange={camera} "
+            f"--set 'calibration.T_flange_camera={OPTICAL_IN_BODY}'",
         )
     for child in tree.ancestors(camera):
         other = tree.with_w_first(child)

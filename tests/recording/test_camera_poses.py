@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
-from dgeval.geometry import Array, Intrinsics, increment
+from dgeval.geometry import Array, Intrinsics, increment, matrix_from_pose
 from dgeval.recording.camera_motion import moved_pairs
 from dgeval.recording.camera_poses import far_from_palm, wrong_poses
 from dgeval.recording.frame import Frame
@@ -35,7 +37,7 @@ def depth_of_the_table(T_base_camera: Array) -> np.ndarray:
     return np.nan_to_num(z).reshape(v.shape).astype(np.float32)
 
 
-def told(T_hand_camera: Array) -> str | None:
+def told(T_hand_camera: Array) -> tuple[str, str] | None:
     """What is said of frames taken with T_HAND_CAMERA whose poses have another one."""
     tree = TransformTree()
     for k in range(STEPS):
@@ -60,6 +62,18 @@ def test_poses_that_fit_are_not_called_wrong() -> None:
 def test_a_hand_eye_calibration_that_is_turned_is_told(degrees: float) -> None:
     turned = T_HAND_CAMERA @ increment(np.array([0, 0, 0, np.radians(degrees), 0, 0]))
     assert "does not fit what it sees" in str(told(turned))
+
+
+def test_a_body_frame_is_told_with_the_line_that_turns_it() -> None:
+    """Fails where Gazebo's camera_link, x forward, is read as optical, or the line turns it wrong:
+    the optical axis is the body's x, and right is against its y.
+    """
+    body = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    what, mend = told(T_HAND_CAMERA @ np.linalg.inv(body)) or ("", "")
+    assert "of the camera's body" in what
+    assert "--set frames.camera=camera_optical --set calibration.flange=camera" in mend
+    pose = np.array(json.loads(mend[mend.index("[") : mend.index("]") + 1]))
+    assert np.allclose(matrix_from_pose(pose), body, atol=1e-12)
 
 
 def test_an_inverted_hand_eye_calibration_is_told() -> None:
