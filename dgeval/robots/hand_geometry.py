@@ -17,11 +17,12 @@ from dgeval.robots.hand_solids import surface_points
 TIP_M = 0.004  # m; what lies so near to the farthest point of a finger is its tip
 BEHIND_TIPS_M = 0.010  # m, from the fingertips towards the palm, where held things are; ours
 STEPS = 21  # postures from open to closed, at which the fingertips are compared
-# share of the way to a limit, after which the fingertips tell whether it closes; the whole way may
-# lead past each other
-FIRST_SHARE = 0.1
+# shares of the way to a limit, after which the fingertips tell whether it closes; the whole way may
+# lead past each other, and a finger that stands straight beside others first goes away from them
+SHARES = (0.1, 0.25, 0.5)
 NEARER_M = 1e-4  # m, by which the fingertips must come nearer; ours
 LEAST_LEVER_M = 0.01
+LEAST_CLOSED = 0.02  # share of a joint's range, that a hand which closes moves it by; ours
 AHEAD = 0.4  # share of how far open fingertips stand out from the palm; ours
 LEAST_WAY_M = 1e-9  # m; points nearer than this are one
 BAR = 0.75  # share of the longest finger's reach, that a finger has at least; ours
@@ -185,11 +186,16 @@ class HandGeometry:
             for limit in (joint.lower, joint.upper):
                 if not np.isfinite(limit):
                     continue
-                first = self.open[k] + FIRST_SHARE * (limit - self.open[k])
-                apart = self.apart(self._followed(self.open, k, first))
+                way = [self.open[k] + share * (limit - self.open[k]) for share in SHARES]
+                apart = min(self.apart(self._followed(self.open, k, at)) for at in way)
                 if apart < best:
                     best, closed = apart, self._followed(closed, k, limit)
         return closed
+
+    @cached_property
+    def closes(self) -> bool:
+        """Whether the closed positions differ from the open ones at all."""
+        return bool((np.abs(self.closed - self.open) > LEAST_CLOSED * self.spans).any())
 
     def _followed(self, positions: Array, k: int, value: float) -> Array:
         """The positions with one joint at another place, and those that follow it."""

@@ -46,7 +46,11 @@ def hand_links(description: Description, palm: str, recorded: Collection[str]) -
     group = _fixed_group(description, palm)
     chains = _chains(description, group)
     if not chains:
-        return f"the description has no hand that moves on {palm!r}"
+        what = f"the description has no hand that moves on {palm!r}"
+        above = description.joints.get(palm)
+        if above is None or above.kind == "fixed":
+            return what
+        return f"{what}; if that is a jaw itself: --set frames.palm={above.parent}"
     # beyond the wrist, or on one of several arms: what reaches far is no finger
     long = tuple(c for c in chains if _reach(description, c) > LONGEST_FINGER_M)
     arms = chains if len(chains) == 1 else long

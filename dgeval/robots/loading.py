@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import xml.etree.ElementTree as ET
 from collections import Counter
 from typing import Any, Literal
 
@@ -12,6 +13,8 @@ from dgeval.errors import Place, UsageError, describe
 from dgeval.robots.description import Coupling, Description, Joint, resolved
 from dgeval.robots.link_shapes import capsules_of, outline_of, shapes_of, without_solids
 from dgeval.robots.mjcf_description import is_mjcf, load_mjcf
+
+KNOWN_SOLIDS = ("box", "cylinder", "sphere", "mesh")  # of URDF
 
 
 def load_description(
@@ -25,18 +28,14 @@ def load_description(
     """
     if is_mjcf(text):
         return load_mjcf(text, source, mesh_dirs, radius)
-    import yourdfpy
-
+    notes: list[str] = []
     try:
-        robot = yourdfpy.URDF.load(
-            io.BytesIO(text.encode()), build_scene_graph=False, load_meshes=False
-        )
+        robot = _parsed(text, notes)
     except Exception as error:
         what = f"the robot description is not a URDF ({describe(error)})"
         hint = "it is a xacro that was not expanded: record what xacro makes of it"
         raise UsageError(what, Place(source), hint if "xacro:" in text else None) from error
     joints: dict[str, Joint] = {}
-    notes: list[str] = []
     _check_tree(robot.robot, source)
     coupled = _coupling(robot.robot.joints, notes)
     for joint in robot.robot.joints:
@@ -89,6 +88,50 @@ def load_description(
     if unusable:
         notes.append(without_solids(unusable, substituted))
     return Description(joints, shapes, notes, mass_centres, radius, outlines)
+
+
+def _parsed(text: str, notes: list[str]) -> Any:
+    """The robot by yourdfpy, which refuses all for one kind of solid that it doesn't know."""
+    import yourdfpy
+
+    def load(given: bytes) -> Any:
+        return yourdfpy.URDF.load(io.BytesIO(given), build_scene_graph=False, load_meshes=False)
+
+    try:
+        return load(text.encode())
+    except ValueError:
+        root = ET.fromstring(text.strip())
+        changed = [_with_known_solids(link, notes) for link in root.iter("link")]
+        if not any(changed):
+            raise
+        return load(ET.tostring(root))
+
+
+def _with_known_solids(link: ET.Element, notes: list[str]) -> bool:
+    """Whether a link's solids of unknown kinds were changed: a capsule to the cylinder around it,
+    others are left out.
+    """
+    changed = False
+    for part in [p for p in link if p.tag in ("collision", "visual")]:
+        for solid in [solid for geometry in part.findall("geometry") for solid in geometry]:
+            if solid.tag in KNOWN_SOLIDS:
+                continue
+            changed = True
+            if solid.tag == "capsule":
+                solid.tag = "cylinder"
+                radius, length = (float(solid.get(k, "nan")) for k in ("radius", "length"))
+                solid.set("length", repr(length + 2 * radius))
+                _noted("capsules are taken as the cylinders around them", notes)
+            else:
+                link.remove(part)
+                _noted(f"solids of the kind {solid.tag!r} are left out", notes)
+                break
+    return changed
+
+
+def _noted(what: str, notes: list[str]) -> None:
+    if what not in notes:
+        notes.append(what)
 
 
 def _check_tree(robot: Any, source: str) -> None:

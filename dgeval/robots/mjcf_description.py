@@ -6,7 +6,6 @@ body is a link, and so is a site; of several joints on one body each has a link 
 
 from __future__ import annotations
 
-import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from types import SimpleNamespace
@@ -36,12 +35,22 @@ ELSEWHERE = ("include", "model", "plugin", "attach")
 HINGE, UNREAD = 3, {0: "free", 1: "ball"}
 STAND_IN_M = 1e-3  # radius of the sphere in place of a mesh while MuJoCo resolves the tree
 ELLIPSOID = 12  # points around an ellipsoid
-PROLOG = re.compile(r"\s*(<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^>]*>|\s)*<mujoco[\s>/]", re.DOTALL)
+PIECE = 4096  # characters that are read at once until a text's first element
 
 
 def is_mjcf(text: str) -> bool:
     """Whether the first element of a text is MJCF's."""
-    return PROLOG.match(text) is not None
+    parser: Any = ET.XMLPullParser(["start"])
+    text = text.lstrip("\ufeff \t\r\n")
+    try:
+        for k in range(0, len(text), PIECE):
+            parser.feed(text[k : k + PIECE])
+            first = next(parser.read_events(), None)
+            if first is not None:
+                return bool(first[1].tag == "mujoco")
+    except ET.ParseError:
+        pass
+    return False
 
 
 def load_mjcf(text: str, source: str, mesh_dirs: tuple[str, ...], radius: float) -> Description:

@@ -177,6 +177,11 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
             gripper = closing_as(gripper, closed, "recorded")
         elif log.elsewhere.closing is not None:
             gripper = closing_as(gripper, log.elsewhere.closing, "estimates")
+        elif gripper.closing_source == "limits" and not gripper.geometry.closes:
+            return Unknown(
+                "how the hand closes is not known: no limit of its joints brings its fingertips "
+                "together from where they stand; name the closed joints (hand.closed)"
+            )
         if close_ns is not None:
             force = recorded_force(gripper, list(log.hand_samples), close_ns, log.last_ns)
             gripper = replace(gripper, force_n=force or gripper.force_n)

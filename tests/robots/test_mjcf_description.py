@@ -13,6 +13,7 @@ from dgeval.robots.described_hand import DescribedHand, described_hand
 from dgeval.robots.description import Description
 from dgeval.robots.hand_links import HandLinks, hand_links
 from dgeval.robots.loading import load_description
+from dgeval.robots.mjcf_description import is_mjcf
 from tests.robots.urdf_texts import GRIPPER, PADS, robot
 
 # defaults, degrees, Euler angles, an anchor off the body's frame, two joints on one body, a
@@ -193,3 +194,14 @@ def test_a_urdf_with_words_for_mujoco_stays_a_urdf() -> None:
         "</robot>", '<mujoco><compiler discardvisual="false"/></mujoco></robot>'
     )
     assert set(loaded(text).joints) == set(loaded(robot(GRIPPER, PADS)).joints)
+
+
+def test_the_comments_before_a_description_cost_no_time() -> None:
+    """Fails where what a text is is told by a search that tries every pairing of its comments: a
+    description under the banner that xacro writes is then never read.
+    """
+    banner = '<?xml version="1.0" ?>\n' + "<!-- === -->\n" * 60
+    assert not is_mjcf(banner + robot(GRIPPER, PADS))
+    assert is_mjcf("\n" + banner + "<mujoco/>")
+    assert not is_mjcf("")
+    assert not is_mjcf("<!-- never closed")
