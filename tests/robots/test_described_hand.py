@@ -40,6 +40,33 @@ def test_jaws_close_to_the_middle_and_meet_behind_their_ends() -> None:
     assert hand.centre == pytest.approx([0.0, 0.0, 0.10], abs=1e-6)
 
 
+def test_a_finger_that_first_goes_away_from_the_thumb_closes() -> None:
+    """Fails where a tenth of the way decides: a coupled finger swings out before it curls in, as an
+    Ability Hand's index does. By the closed form: 10 cm from the thumb, 10.3 after a tenth, 9.5
+    after half.
+    """
+    bone = box("0.004 0.004 0.05", "0 0 0.025")
+    text = robot(
+        [
+            joint("q1", "palm", "a", axis="0 1 0", limits=(0.0, 2.09)),
+            joint(
+                "q2", "a", "b", "revolute", "0 0 0.05", "0 1 0", (0.0, 2.66), follows("q1", 1.06)
+            ),
+            joint("thumb", "palm", "t", "revolute", "-0.01 0 -0.08", "0 1 0", (-0.01, 0.01)),
+        ],
+        {
+            "palm": box("0.02 0.02 0.02", "0 0 -0.5"),
+            "a": bone,
+            "b": bone,
+            "t": box("0.004 0.004 0.08", "0 0 0.04"),
+        },
+    )
+    geometry = made(text, "palm", {}).geometry
+    assert dict(zip(geometry.names, geometry.closed, strict=True))["q1"] == pytest.approx(2.09)
+    assert geometry.closes
+    assert not gripper(0.0).geometry.closes  # it is closed already
+
+
 def test_a_closed_hand_that_is_given_goes_before_the_limits() -> None:
     """Fails where a hand that never closes all the way is closed to its limits."""
     description = load_description(robot(GRIPPER, PADS), "a test", (), 0.01)

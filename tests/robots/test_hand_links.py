@@ -84,6 +84,14 @@ def test_an_arm_without_a_hand_has_none() -> None:
     assert "no hand that moves" in str(hand_links(loaded(tool), "tool0", {"wrist"}))
 
 
+def test_a_jaw_that_has_the_palms_name_is_told_with_its_palm() -> None:
+    """Fails where "no hand that moves" is all that is said of a low-cost arm's one jaw."""
+    arm = [*ARM, joint("jaw", "flange", "gripper")]
+    said = str(hand_links(loaded(arm), "gripper", {"jaw"}))
+    assert "--set frames.palm=flange" in said
+    assert not isinstance(hand_links(loaded(arm), "flange", {"jaw"}), str)
+
+
 def test_what_reaches_far_is_no_finger() -> None:
     """Fails where the legs of a walking robot are the fingers of its trunk."""
     legs = []

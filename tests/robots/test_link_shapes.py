@@ -74,3 +74,19 @@ def test_points_lie_all_over_the_surface() -> None:
     middle = surface_samples(capsule)
     middle[:, 2] -= np.clip(middle[:, 2], -0.04, 0.04)
     assert np.linalg.norm(middle, axis=1) == pytest.approx(0.01, abs=2e-4)
+
+
+def test_a_solid_that_urdf_does_not_have_costs_no_description(tmp_path: Path) -> None:
+    """Fails where a simulator's capsule, or a kind that nobody knows, refuses the whole robot."""
+    capsule = '<geometry><capsule radius="0.01" length="0.08"/></geometry>'
+    found = loaded(tmp_path, capsule, "")
+    (shape,) = found.shapes["tool"]
+    assert shape.kind == "cylinder"
+    assert shape.size == pytest.approx((0.01, 0.05))  # radius, half of the length
+    assert any("capsules" in note for note in found.notes)
+    torus = '<geometry><torus radius="1"/></geometry>'
+    text = f'<robot name="r"><link name="tool"><collision>{torus}</collision>'
+    text += f"<collision>{BOX}</collision></link></robot>"
+    found = load_description(text, "a test", (), 0.01)
+    assert [s.kind for s in found.shapes["tool"]] == ["box"]
+    assert any("'torus'" in note for note in found.notes)

@@ -18,6 +18,7 @@ from dgeval.geometry import Array, transform
 from dgeval.hindsight.smoothing import By
 from dgeval.perception.plane import Plane
 from dgeval.recording.messages import JointSample
+from dgeval.robots.described_hand import DescribedHand
 from dgeval.robots.dlr_hit_hand import ACTUATED, GRASP_CENTRE
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.verdict.beliefs import Beliefs, beliefs_of
@@ -546,6 +547,21 @@ def without(samples: list[JointSample], first: float, last: float) -> list[Joint
 def test_why_there_is_no_scene(trial: dict[str, Any], hindsight: dict[str, Any], why: str) -> None:
     """Catches a verdict from what is not known, and a reason that is not the one."""
     assert scene_of(log_of(trial_of(**trial)), hindsight_of(**hindsight)) == Unknown(why)
+
+
+def test_a_hand_that_no_limit_closes_is_unknown() -> None:
+    """Fails where a hand whose closed posture nothing tells closes on nothing in the twin, and
+    every log without a close is an imprecise pose.
+    """
+    log = log_of(trial_of(close=None))
+    hand = log.robot.hand_by_description
+    assert isinstance(hand, DescribedHand)
+    shut = replace(hand, geometry=replace(hand.geometry))
+    shut.geometry.__dict__["closed"] = shut.geometry.open.copy()
+    for known, is_told in ((hand, False), (shut, True)):
+        log.robot.__dict__["hand_found"] = known
+        why = scene_of(log, hindsight_of())
+        assert (isinstance(why, Unknown) and "hand.closed" in why.reason) == is_told
 
 
 def test_an_object_below_its_support_is_no_scene() -> None:
