@@ -2570,6 +2570,78 @@ MUTANTS = [
         "        end = log >= log.max() - quarter",
         "tests/recording/test_seventh_strangers.py",
     ),
+    Mutant(
+        "dgeval/recording/depth_unit.py",
+        "votes.append(as_read < inverse)",
+        "votes.append(as_read > inverse)",
+        "tests/recording/test_depth_unit.py",
+    ),
+    Mutant(
+        "dgeval/recording/depth_unit.py",
+        "return votes >= LEAST_VOTES and 2 * votes > len(pairs)",
+        "return votes >= LEAST_VOTES",
+        "tests/recording/test_depth_unit.py",
+    ),
+    Mutant(
+        "dgeval/recording/depth_edges.py",
+        "    if shrunk < 1.0:\n",
+        "    if shrunk < 0.1:\n",
+        "tests/recording/test_depth_edges.py",
+    ),
+    Mutant(
+        "dgeval/recording/closes.py",
+        "max((t for t in closes if t < last), default=None)",
+        "max((t for t in closes if t > last), default=None)",
+        "tests/recording/test_closes.py",
+    ),
+    Mutant(
+        "dgeval/replay/target_search.py",
+        "begin = sum(t <= (trial.close.before_ns or 0) for t in stamps)",
+        "begin = 0",
+        "tests/replay/test_target_search.py",
+    ),
+    Mutant(
+        "dgeval/recording/checks.py",
+        "    if roles.target or not listed:\n",
+        "    if not listed:\n",
+        "tests/recording/test_recorded_target.py",
+    ),
+    Mutant(
+        "dgeval/recording/camera_poses.py",
+        "[0,0,0,-0.5,0.5,-0.5,0.5]",
+        "[0,0,0,0.5,0.5,-0.5,0.5]",
+        "tests/recording/test_camera_poses.py",
+    ),
+    Mutant(
+        "dgeval/robots/hand_geometry.py",
+        "SHARES = (0.1, 0.25, 0.5)",
+        "SHARES = (0.1,)",
+        "tests/robots/test_described_hand.py",
+    ),
+    Mutant(
+        "dgeval/robots/loading.py",
+        "repr(length + 2 * radius)",
+        "repr(length)",
+        "tests/robots/test_link_shapes.py",
+    ),
+    Mutant(
+        "dgeval/robots/hand_links.py",
+        'if above is None or above.kind == "fixed":',
+        'if above is None or above.kind != "fixed":',
+        "tests/robots/test_hand_links.py",
+    ),
+    Mutant(
+        "dgeval/verdict/evidence.py",
+        'elif gripper.closing_source == "limits" and not gripper.geometry.closes:',
+        'elif gripper.closing_source == "set" and not gripper.geometry.closes:',
+        "tests/verdict/test_evidence.py",
+    ),
+    Mutant(
+        "dgeval/robots/mjcf_description.py",
+        'return bool(first[1].tag == "mujoco")',
+        'return bool(first[1].tag != "robot")',
+        "tests/robots/test_mjcf_description.py",
+    ),
 ]
 
 
