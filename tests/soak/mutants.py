@@ -2578,8 +2578,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/depth_unit.py",
-        "return votes >= LEAST_VOTES and 2 * votes > len(pairs)",
-        "return votes >= LEAST_VOTES",
+        "replace(f, depth=_inverted(f.depth)) for f",
+        "replace(f, depth=f.depth) for f",
         "tests/recording/test_depth_unit.py",
     ),
     Mutant(
