@@ -133,7 +133,9 @@ class Reads:
 
     given: tuple[Frame, ...]
     robot: SimpleNamespace
-    camera: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(alignment=None))
+    camera: SimpleNamespace = field(
+        default_factory=lambda: SimpleNamespace(alignment=None, depth_shrunk=1.0)
+    )
     pairs: tuple[Pair, ...] = ()
     lost: object = None
 
