@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from dgeval.geometry import Array, invert
+from dgeval.geometry import Array, invert, pose_from_matrix
 from dgeval.recording.camera_motion import LEAST_WORSE, MovedPair, misfit_of
 from dgeval.recording.transforms import TransformTree
 
@@ -24,7 +24,6 @@ MOVES_WITH_M = 0.01  # m, by which a camera on the palm seems to move in its fra
 T_BODY_OPTICAL = np.array(
     [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-OPTICAL_IN_BODY = "[0,0,0,-0.5,0.5,-0.5,0.5]"  # the same as a setting, px py pz qx qy qz qw
 
 
 def wrong_poses(
@@ -48,13 +47,14 @@ def wrong_poses(
     turned[given <= LEAST_WORSE] = np.nan
     comparable = ~np.isnan(given) | ~np.isnan(turned)  # else the pictures have nothing in common
     if comparable.sum() >= LEAST_PAIRS and (turned[comparable] <= LEAST_WORSE).mean() > 0.5:
+        numbers = ",".join(f"{v:.5g}" for v in pose_from_matrix(T_BODY_OPTICAL))
         return (
             f"the pose of the frame {camera!r} is of the camera's body, x forward and z up, "
             "and not of its optical frame",
             "record the optical frame as the pictures' frame_id, or name it (frames.camera); where "
             f"there is none: --set frames.camera={camera}_optical "
             f"--set calibration.flange={camera} "
-            f"--set 'calibration.T_flange_camera={OPTICAL_IN_BODY}'",
+            f"--set 'calibration.T_flange_camera=[{numbers}]'",
         )
     for child in tree.ancestors(camera):
         other = tree.with_w_first(child)

@@ -58,22 +58,20 @@ def depth_off(frames: Sequence[Frame], shrunk: float = 1.0) -> DepthOff | None:
     The score of a shift is the mean, over the near side's pixels at steps of depth, of colour's
     gradient there, and of how far both run the same way.
     """
-    coloured = [(f, _colour_edges(f)) for f in frames]
-    edges = [(colour, _depth_edges(f)) for f, colour in coloured]
-    edges = [(colour, depth) for colour, depth in edges if depth[0].sum() >= LEAST_EDGE]
+    colours = [_colour_edges(f) for f in frames]
+    edges = _with_edges(colours, [_depth_edges(f) for f in frames])
     if len(edges) < LEAST_FRAMES:
         return None
     scores = np.array([_scores(colour, depth, FARTHEST) for colour, depth in edges])
     found, best, none = _best(scores)
     by_turn = {
-        name: float(np.mean([_scores(c, _turned(d, *turn), AGREE) for c, d in edges], axis=0).max())
-        for name, turn in TURNS.items()
+        name: _unshifted([(c, _turned(d, *turn)) for c, d in edges]) for name, turn in TURNS.items()
     }
     if shrunk < 1.0:
-        cut = [(c, _depth_edges(replace(f, depth=_middle(f.depth, shrunk)))) for f, c in coloured]
-        cut = [(colour, depth) for colour, depth in cut if depth[0].sum() >= LEAST_EDGE]
+        smaller = [replace(f, depth=_middle(f.depth, shrunk)) for f in frames]
+        cut = _with_edges(colours, [_depth_edges(f) for f in smaller])
         if len(cut) >= LEAST_FRAMES:
-            by_turn[CUT] = float(np.mean([_scores(c, d, AGREE) for c, d in cut], axis=0).max())
+            by_turn[CUT] = _unshifted(cut)
     name = max(by_turn, key=lambda turn: by_turn[turn])
     if by_turn[name] >= max(TURNED_SCORE, best + TURNED_BETTER):
         return DepthOff(name)
@@ -88,6 +86,17 @@ def depth_off(frames: Sequence[Frame], shrunk: float = 1.0) -> DepthOff | None:
         return None
     down, right = -found * frames[0].depth.shape[1] / WIDTH
     return DepthOff("", float(right), float(down), float(np.hypot(*found)) / WIDTH)
+
+
+def _with_edges(colours: list[Planes], depths: list[Planes]) -> list[tuple[Planes, Planes]]:
+    """The frames whose depth has steps enough."""
+    pairs = zip(colours, depths, strict=True)
+    return [(colour, depth) for colour, depth in pairs if depth[0].sum() >= LEAST_EDGE]
+
+
+def _unshifted(edges: list[tuple[Planes, Planes]]) -> float:
+    """The best mean score, with hardly a shift."""
+    return float(np.mean([_scores(colour, depth, AGREE) for colour, depth in edges], axis=0).max())
 
 
 def _middle(depth: NDArray[np.float32], share: float) -> NDArray[np.float32]:

@@ -26,6 +26,7 @@ LEAST_CUT = 0.05  # share of the readings that have the largest one, where depth
 # are looked at; share of the readings that count; of their middle, by which a plane may miss them;
 # and by how many times the other way must miss them more, for a vote; ours
 PATCHES, COLUMNS, INLIERS, IS_PLANE, FITS_BETTER = (4, 3, 2), 160, 0.9, 0.004, 2.5
+LEAST_MISS = 1e-4  # of the middle, that the other way must miss at least: less is rounding; ours
 LEAST_VOTES_INVERSE, MOSTLY_INVERSE = 12, 0.9  # patches that vote, and the share that agrees; ours
 FACTORS = np.geomspace(0.03, 30.0, 41)  # tried; neighbours differ by 19 %
 LEAST_VOTES, AGREE = 3, 1.5  # pairs that must vote, and the factor within which half must agree
@@ -71,7 +72,7 @@ def is_inverse(frames: Sequence[Frame]) -> bool:
             for patch in _patches(depth, depth.shape[1] // parts):
                 as_read, inverse = _misses(patch), _misses(_inverted(patch))
                 better, worse = sorted((as_read, inverse))
-                if better <= IS_PLANE and worse > FITS_BETTER * better:
+                if better <= IS_PLANE and worse > max(FITS_BETTER * better, LEAST_MISS):
                     votes.append(as_read < inverse)
     return len(votes) >= LEAST_VOTES_INVERSE and float(np.mean(votes)) >= MOSTLY_INVERSE
 
@@ -103,13 +104,15 @@ def _misses(patch: Array) -> float:
     """
     v, u = np.nonzero(patch > 0)
     known = patch[v, u]
-    linear = np.stack([u, v, np.ones_like(u)], axis=1).astype(np.float64)
-    near = np.ones(len(known), dtype=bool)
+    linear = np.stack([u - u.mean(), v - v.mean(), np.ones(len(u))], axis=1)
+    nearest = max(1, round(INLIERS * len(known)))
+    near = np.arange(len(known))
     miss = np.zeros(len(known))
     for _ in range(2):
-        fit = np.linalg.lstsq(linear[near], known[near], rcond=None)[0]
+        at = linear[near]
+        fit = np.linalg.lstsq(at.T @ at, at.T @ known[near], rcond=None)[0]
         miss = np.abs(known - linear @ fit)
-        near = miss <= np.quantile(miss, INLIERS)
+        near = np.argpartition(miss, nearest - 1)[:nearest]
     return float(np.sqrt(np.mean(miss[near] ** 2)) / np.median(known))
 
 

@@ -82,6 +82,8 @@ def test_inverse_depth_is_told_by_what_is_flat() -> None:
     from_above = [plane(0.8, 0.03 * k, 0.0, 1.0, k) for k in range(6)]
     assert not is_inverse(from_above)
     assert not is_inverse([replace(f, depth=np.zeros_like(f.depth)) for f in tilted])
+    for flat in (0.4, 0.7, 1.1):  # exact, as a simulator's: what rounding prefers is no vote
+        assert not is_inverse([replace(f, depth=np.full_like(f.depth, flat)) for f in tilted])
 
 
 def test_inverse_depth_is_told_by_the_cameras_motion() -> None:

@@ -2608,8 +2608,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/camera_poses.py",
-        "[0,0,0,-0.5,0.5,-0.5,0.5]",
-        "[0,0,0,0.5,0.5,-0.5,0.5]",
+        "pose_from_matrix(T_BODY_OPTICAL)",
+        "pose_from_matrix(invert(T_BODY_OPTICAL))",
         "tests/recording/test_camera_poses.py",
     ),
     Mutant(
