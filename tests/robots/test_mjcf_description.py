@@ -204,4 +204,5 @@ def test_the_comments_before_a_description_cost_no_time() -> None:
     assert not is_mjcf(banner + robot(GRIPPER, PADS))
     assert is_mjcf("\n" + banner + "<mujoco/>")
     assert not is_mjcf("")
+    assert not is_mjcf('<sdf version="1.9"/>')
     assert not is_mjcf("<!-- never closed")
