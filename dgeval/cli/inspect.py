@@ -165,6 +165,8 @@ def _print(inspection: dict[str, Any]) -> None:
         typer.echo(f"note: {note}")
     for check in inspection["checks"]:
         typer.echo(f"check failed: {check['name']}: {check['what']}; {check['mend']}")
+    for what in inspection["untested"]:
+        typer.echo(f"nothing in the log tests {what}")
     typer.echo(f"replay: {inspection['replay']}")
     typer.echo("can it be told …")
     for answer in inspection["answers"]:

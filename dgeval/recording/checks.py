@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dgeval.config import ClockConfig, SyncConfig
 from dgeval.recording.camera_poses import far_from_palm
-from dgeval.recording.check import PART_CHECK, Check
+from dgeval.recording.check import PART_CHECK, Check, Findings
 from dgeval.recording.choices import unplaced, unscored
 from dgeval.recording.clock_checks import (
     clock_check,
@@ -82,8 +82,8 @@ def failed_checks(
     reader: FrameReader,
     clock: ClockConfig,
     close_ns: int | None,
-) -> tuple[list[Check], list[str]]:
-    """The checks that fail, and notes on what is near to failing. close_ns: of the trial."""
+) -> Findings:
+    """What all checks of a trial find. close_ns: of the trial."""
     failed: list[Check] = []
     approach = tuple(p for p in window.pairs if close_ns is None or p.t_ns <= close_ns)
     seen = approach if len(approach) >= SAMPLED else window.pairs
@@ -130,8 +130,8 @@ def failed_checks(
     assert roles.depth is not None
     later = window.pairs[len(seen) :]
     encoding = scan.images[roles.depth].encoding
-    against, not_quite = frame_checks(reader, seen, later, encoding != "32FC1", clock)
-    against = _by_a_drift(clocks_drift(scan, roles, clock, DRIFTS_S), against)
+    found = frame_checks(reader, seen, later, encoding != "32FC1", clock)
+    against = _by_a_drift(clocks_drift(scan, roles, clock, DRIFTS_S), found.failed)
     failed += [check for check in against if check.name not in {c.name for c in failed}]
     if reader.camera.doubt:
         mend = "if so --set 'calibration.T_colour_depth=[0,0,0,0,0,0,1]', else the transform"
@@ -141,7 +141,8 @@ def failed_checks(
             f"{roles.rival} is another camera, and its frame has the same name as {roles.colour}'s"
         )
         failed.append(Check("cameras", what, "name one: --set roles.colour=… and roles.depth=…"))
-    return failed, [text for text in (note, not_quite) if text]
+    untested = found.untested if robot.palm_frame is not None else []
+    return Findings(failed, [*([note] if note else []), *found.notes], untested)
 
 
 def unread_results(scan: Scan) -> list[str]:

@@ -15,12 +15,12 @@ from dgeval.config import ClockConfig
 from dgeval.geometry import Array, pose_from_matrix
 from dgeval.recording.camera_motion import moved_pairs
 from dgeval.recording.camera_poses import wrong_poses
-from dgeval.recording.check import Check
+from dgeval.recording.check import Check, Findings
 from dgeval.recording.depth_edges import CUT, DepthOff, depth_off
 from dgeval.recording.depth_unit import bytes_swapped, cut_at, inverse_fits, is_inverse, wrong_unit
 from dgeval.recording.frame import Frame
 from dgeval.recording.frame_reader import FrameReader, LostFrames
-from dgeval.recording.hand_seen import HandOff, hand_off
+from dgeval.recording.hand_seen import HandSeen, hand_seen
 from dgeval.recording.pairing import Pair
 from dgeval.recording.robot import states_period_s
 from dgeval.recording.scene_corrections import corrections, poses_then
@@ -40,6 +40,11 @@ MUST_TELL_S = 0.04  # s, from which on a delay fails the check; less is a note; 
 MUST_TELL_M = 0.012  # m, by which the hand is seen off, and fails; less is a note; ours
 HARDLY_A_MOUNT_M = 0.03  # m; farther off is seldom an error of calibration alone; ours
 NAMED_M = 0.002  # m; less along one axis is not named
+HAND_UNTESTED = "where the camera is to the hand (no depth shows enough of the hand)"
+CAMERA_UNTESTED = (
+    "which way the camera looks, its clock and intrinsics, depth's scale (the camera hardly moves, "
+    "or past hardly any texture)"
+)
 # share of the period of the robot's states, below which a delay may come from bridging them; ours
 BRIDGED = 0.5
 NEAR_UNIT = 0.15  # in the logarithm; a measured unit so near to one of them is that one
@@ -51,8 +56,8 @@ def frame_checks(
     later: tuple[Pair, ...],
     is_integer: bool,
     clock: ClockConfig,
-) -> tuple[list[Check], str]:
-    """The checks that fail, and a note, "" without, on what is near to failing.
+) -> Findings:
+    """What a few frames of a trial show.
 
     approach, later: pairs before and after the hand lifts what it holds, which then moves with the
     camera; a few of each are looked at. is_integer: whether depth is recorded in whole numbers.
@@ -65,22 +70,27 @@ def frame_checks(
     frames = [frame for frame in seen if frame.t_ns <= ends_ns]
     if not frames:
         mend = "see encodings and sizes in `dgeval inspect`"
-        return [Check("frames", damage.what, mend) for damage in lost.damage], ""
+        return Findings([Check("frames", damage.what, mend) for damage in lost.damage])
     beside = depth_off(frames, reader.camera.depth_shrunk)
     what, mend = ("", "") if beside is None else _beside(beside)
     if beside is not None and (beside.turned or beside.share >= MUST_TELL_BESIDE):
-        return [Check("alignment", what, mend)], ""
-    failed, note = _of_camera(reader, frames, is_integer, clock)
-    notes = [what and f"{what}: {mend}", note, _cut(frames)]
+        return Findings([Check("alignment", what, mend)])
+    found = _of_camera(reader, frames, is_integer, clock)
+    notes = [what and f"{what}: {mend}", *found.notes, _cut(frames)]
+    notes = [text for text in notes if text]
+    if found.failed:
+        return Findings(found.failed, notes)
     description = reader.robot.description
-    off = None if failed or description is None else hand_off(seen, description.outlines)
-    if off is not None:
-        check = _hand_check(off, reader, seen[0].t_ns)
-        if off.link or np.linalg.norm(off.shift) >= MUST_TELL_M:
+    hand = HandSeen(False) if description is None else hand_seen(seen, description.outlines)
+    failed = []
+    if hand.is_off:
+        check = _hand_check(hand, reader, seen[0].t_ns)
+        if hand.link or np.linalg.norm(hand.shift) >= MUST_TELL_M:
             failed.append(check)
         else:
             notes.append(f"{check.what}; {check.mend}")
-    return failed, "; ".join(text for text in notes if text)
+    untested = [*found.untested, *([] if hand.is_told else [HAND_UNTESTED])]
+    return Findings(failed, notes, untested)
 
 
 def _cut(frames: list[Frame]) -> str:
@@ -118,7 +128,7 @@ def _few(pairs: tuple[Pair, ...], count: int) -> list[Pair]:
     return [pairs[k] for k in np.unique(np.linspace(0, len(pairs) - 1, count).astype(int))]
 
 
-def _hand_check(off: HandOff, reader: FrameReader, t_ns: int) -> Check:
+def _hand_check(off: HandSeen, reader: FrameReader, t_ns: int) -> Check:
     """That the hand is seen elsewhere, or a link of it is not seen, and what mends it."""
     if off.link:
         what = f"depth shows what lies behind {off.link!r} where {off.through:.0%} of it should "
@@ -182,23 +192,22 @@ def _beside(off: DepthOff) -> tuple[str, str]:
 
 def _of_camera(
     reader: FrameReader, frames: Sequence[Frame], is_integer: bool, clock: ClockConfig
-) -> tuple[list[Check], str]:
-    """The checks of depth and camera that fail, and a note, "" without, on what is near to it."""
+) -> Findings:
+    """What depth and camera show of each other."""
     by_depth = _against_depth(reader, frames, is_integer)
     if any(check.name == "depth_unit" for check in by_depth):
-        return by_depth, ""
+        return Findings(by_depth)
     steps = scene_steps(frames)
     share = seeming_motion(steps)
     if share is None:
-        return by_depth, ""
+        return Findings(by_depth, [], [CAMERA_UNTESTED])
     by_pictures, note = _against_pictures(reader, steps, share, is_integer, clock)
-    # depth alone can't tell a turntable from wrong poses, and texture can
-    if share <= NOT_QUITE:
-        return by_pictures, note
-    # wrong depth contradicts the poses too, and is the better answer where it explains everything
-    if by_depth and not any(check.name != "camera_poses" for check in by_pictures):
-        return by_depth, ""
-    return by_pictures, note
+    # wrong depth contradicts the poses too, and is the better answer where it explains everything;
+    # but depth alone can't tell a turntable from wrong poses, and texture can
+    explained = by_depth and not any(check.name != "camera_poses" for check in by_pictures)
+    if share > NOT_QUITE and explained:
+        return Findings(by_depth)
+    return Findings(by_pictures, [note] if note else [])
 
 
 def _against_depth(reader: FrameReader, frames: Sequence[Frame], is_integer: bool) -> list[Check]:

@@ -8,7 +8,7 @@ camera can measure there is no depth, and nothing is said.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import cv2
@@ -50,17 +50,23 @@ NOTED_M = 0.008  # m, of a shift that is told; ours
 
 
 @dataclass(frozen=True)
-class HandOff:
-    """How the hand is seen elsewhere than it should be.
+class HandSeen:
+    """Where the hand is seen, against where it should be.
 
+    is_told: whether enough of it is seen to say so; else the rest is as if it were in its place.
     shift (3,) m: in the camera's frame, by which all of it is seen off; zero where it is seen in
     its place but for a link. link: through which depth shows what lies behind it, "" for none.
     through: the share of the link, away from its outline, where depth does so.
     """
 
-    shift: Array
+    is_told: bool
+    shift: Array = field(default_factory=lambda: np.zeros(3))
     link: str = ""
     through: float = 0.0
+
+    @property
+    def is_off(self) -> bool:
+        return bool(self.link) or bool(self.shift.any())
 
 
 @dataclass(frozen=True)
@@ -80,28 +86,27 @@ class _View:
 _Stacked = tuple[NDArray[np.float32], Array, NDArray[np.intp], Array]
 
 
-def hand_off(
+def hand_seen(
     frames: Sequence[Frame], outlines: Mapping[str, list[LinkShape]] = NO_OUTLINES
-) -> HandOff | None:
-    """How the hand is seen elsewhere than it should be; None where it is seen in its place, or
-    where too little of it is seen to say so.
+) -> HandSeen:
+    """Where depth shows the hand, against where it should be.
 
     outlines: what is seen of links whose solids are rough, in the link's frame.
     """
     views, links = _views(frames, outlines)
     if len(views) < LEAST_FRAMES:
-        return None
+        return HandSeen(False)
     stacked = _stacked(views)
     there = _score(*stacked, np.zeros(3))
     shift, best = _shift(stacked)
     if best < LEAST_SCORE or sum(_agree(v, shift) >= LEAST_AGREE for v in views) < LEAST_FRAMES:
-        return None
+        return HandSeen(False)
     if best < TIMES_BETTER * there:
         shift = np.zeros(3)
     link, share = _through(views, links, shift)
     if share >= MOST_THROUGH:
-        return HandOff(np.zeros(3), link, share)
-    return HandOff(shift) if np.linalg.norm(shift) >= NOTED_M else None
+        return HandSeen(True, link=link, through=share)
+    return HandSeen(True, shift) if np.linalg.norm(shift) >= NOTED_M else HandSeen(True)
 
 
 def _views(

@@ -35,7 +35,7 @@ def inspect_recording(
     path: Path, config: Config, foretell: Foretell | None = None
 ) -> dict[str, Any]:
     """A summary for JSON: file, damage, topics, roles, timing, events, notes, answers, checks that
-    fail, and what `replay` will say.
+    fail, what nothing in it tests, and what `replay` will say.
 
     foretell: gives the checks and notes that only a replay's own stages tell. UnreadableError,
     UsageError.
@@ -83,6 +83,7 @@ def inspect_recording(
         later = foretell(trial, config)
     out["checks"], out["replay"], notes = _replay_preview(trial, *later)
     out["notes"] += [n for n in notes if n not in out["notes"]]
+    out["untested"] = [] if isinstance(trial, DgevalError) else list(trial.untested)
     return out
 
 

@@ -61,7 +61,8 @@ class Trial:
 
     spec: the manifest entry, with the window's times filled in. sha256: of the whole recording.
     opened, scan, roles: the recording, what one pass over it kept, and which topic is what.
-    notes: what was assumed or is wrong, for the trial's row.
+    notes: what was assumed or is wrong, for the trial's row. untested: what the recording is taken
+    at its word for, as nothing in it shows whether it is right.
     """
 
     spec: TrialSpec
@@ -77,6 +78,7 @@ class Trial:
     reader: FrameReader
     checks: tuple[Check, ...]
     notes: tuple[str, ...]
+    untested: tuple[str, ...] = ()
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
@@ -228,8 +230,8 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
         opened, colour, depth, window.pairs, camera, robot, lost, codec, things, accepted
     )
     close_ns = events.first_ns(CLOSE_EVENT)
-    checks, hints = failed_checks(scanned, roles, robot, window, reader, config.clock, close_ns)
-    checks += pair_check(window, config.sync)
+    found = failed_checks(scanned, roles, robot, window, reader, config.clock, close_ns)
+    checks = [*found.failed, *pair_check(window, config.sync)]
     checks += part_check(spec.recording, spec.parts)
     if close.source is None and close.missing is None and any(c.name == "joints" for c in checks):
         close = replace(close, missing=NOT_BY_THESE)
@@ -237,7 +239,7 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
         began = ((close.fingers_ns or first_ns) - first_ns) * 1e-9
         checks.append(Check("events", close.late, f"if the mark is late: --close {began:+.2f}"))
     checks += event_checks(marked, scanned, window, pairing.colour_ns, spec)
-    notes += [*([close.note] if close.note else []), *hints, *(str(c) for c in checks)]
+    notes += [*([close.note] if close.note else []), *found.notes, *(str(c) for c in checks)]
     return Trial(
         replace(spec, start_ns=window.start_ns, end_ns=window.end_ns),
         sha256,
@@ -252,6 +254,7 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
         reader,
         tuple(checks),
         tuple(notes),
+        tuple(found.untested),
     )
 
 

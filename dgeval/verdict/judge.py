@@ -132,7 +132,7 @@ def judge(
     hand = scene.gripper
     row = replace(
         row,
-        evidence=sentence(times, ended, decision, link),
+        evidence=sentence(times, ended, decision, link) + _at_its_word(log, decision),
         blame="unknown" if isinstance(blame.part, Unknown) else blame.part,
         p_blame=None if isinstance(blame.part, Unknown) else blame.probability,
         belief_source=blame.source,
@@ -140,9 +140,23 @@ def judge(
         **class_columns(decision),
     )
     notes += notes_of(scene, decision, blame)
+    if log.untested and _is_of_pose(decision):
+        notes.append(f"nothing in the log tests {'; nor '.join(log.untested)}")
     shown = hand_shown(log, hindsight, ended, scene)
     closes = closes_of(decision, times)
     return Judgement(row, decisive_ns(decision, times), link, tuple(notes), shown, closes)
+
+
+def _is_of_pose(decision: Decision) -> bool:
+    answer = decision.answer
+    return not isinstance(answer, Unknown) and answer.failure_class == "imprecise_pose"
+
+
+def _at_its_word(log: TrialLog, decision: Decision) -> str:
+    """In words, that nothing ties the pictures to the robot, where a pose is what failed."""
+    if len(log.untested) < 2 or not _is_of_pose(decision):
+        return ""
+    return ". Nothing in the log tests where its camera is: the whole cause hangs on it"
 
 
 def _decision(

@@ -106,7 +106,7 @@ class TrialLog:
     their own clock. max_gap_ns: longest gap in joint states that is interpolated. servo_gain: 1/s,
     of the robot's position servo, as configured. elsewhere: what other trials show of the hand.
     released_ns: when the fingers open again after the close. is_cut: no end of the trial is marked,
-    and the hand still moves at the end of the log.
+    and the hand still moves at the end of the log. untested: what the log is taken at its word for.
     """
 
     first_ns: int
@@ -124,6 +124,7 @@ class TrialLog:
     elsewhere: HandEstimate = NOTHING_ELSEWHERE
     released_ns: int | None = None
     is_cut: bool = False
+    untested: tuple[str, ...] = ()
 
     @property
     def end_ns(self) -> int:
@@ -173,6 +174,7 @@ def log_of(trial: Trial, elsewhere: HandEstimate | None = None) -> TrialLog:
         elsewhere or NOTHING_ELSEWHERE,
         released_ns,
         trial.event_ns(TRIAL_END_EVENT) is None and _moves_at_the_end(trial),
+        trial.untested,
     )
 
 

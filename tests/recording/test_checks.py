@@ -13,6 +13,7 @@ from dgeval.config import Config, RolesConfig
 from dgeval.geometry import Intrinsics
 from dgeval.recording.alignment import Alignment
 from dgeval.recording.cameras import choose_camera, intrinsics_of
+from dgeval.recording.check import Findings
 from dgeval.recording.checks import failed_checks
 from dgeval.recording.clock_checks import clock_check
 from dgeval.recording.clocks import StampFaults, clean_stamps
@@ -96,9 +97,9 @@ def checks_of(
     )
     window = Window(0, stamps[-1], pairs, 0, 0, faults)
     reader: Any = SimpleNamespace(robot=robot, camera=SimpleNamespace(doubt=""))
-    monkeypatch.setattr("dgeval.recording.checks.frame_checks", lambda *_: ([], ""))
-    failed, _ = failed_checks(scan, roles, robot, window, reader, Config().clock, None)
-    return [c.name for c in failed]
+    monkeypatch.setattr("dgeval.recording.checks.frame_checks", lambda *_: Findings([]))
+    found = failed_checks(scan, roles, robot, window, reader, Config().clock, None)
+    return [c.name for c in found.failed]
 
 
 def test_poses_in_fewer_than_half_of_the_frames_fail(monkeypatch: pytest.MonkeyPatch) -> None:

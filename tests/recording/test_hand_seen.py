@@ -12,9 +12,9 @@ import pytest
 from dgeval.config import ClockConfig
 from dgeval.geometry import Array, Intrinsics, increment, matrix_from_pose
 from dgeval.recording.frame import Frame
-from dgeval.recording.frame_checks import frame_checks
+from dgeval.recording.frame_checks import CAMERA_UNTESTED, HAND_UNTESTED, frame_checks
 from dgeval.recording.frame_reader import FrameReader
-from dgeval.recording.hand_seen import hand_off
+from dgeval.recording.hand_seen import hand_seen
 from dgeval.recording.pairing import Pair
 from dgeval.recording.transforms import TransformTree
 from dgeval.robots.description import Description, LinkShape
@@ -72,33 +72,37 @@ def _frames(
 
 
 def test_a_hand_in_its_place_is_not_told() -> None:
-    assert hand_off(_frames(np.zeros(3), np.zeros(3))) is None
+    seen = hand_seen(_frames(np.zeros(3), np.zeros(3)))
+    assert seen.is_told
+    assert not seen.is_off
 
 
 @pytest.mark.parametrize(
     "moved", [(0.015, 0, 0), (0, -0.015, 0), (0, 0, 0.015), (-0.03, 0.01, -0.02), (0, 0, -0.03)]
 )
 def test_a_camera_that_is_mounted_elsewhere_is_told_by_how_much(moved: tuple[float, ...]) -> None:
-    off = hand_off(_frames(np.zeros(3), np.array(moved)))
-    assert off is not None
+    off = hand_seen(_frames(np.zeros(3), np.array(moved)))
+    assert off.is_told
     assert off.link == ""
     assert off.shift == pytest.approx(np.array(moved), abs=0.002)
 
 
 def test_a_small_error_of_the_mount_is_not_told() -> None:
-    assert hand_off(_frames(np.zeros(3), np.array([0.003, 0.0, 0.0]))) is None
+    assert not hand_seen(_frames(np.zeros(3), np.array([0.003, 0.0, 0.0]))).is_off
 
 
 def test_a_hand_that_is_too_near_for_depth_is_not_told() -> None:
     shifted = np.array([0.015, 0.0, 0.0])
-    assert hand_off(_frames(np.zeros(3), shifted, nearest=0.5)) is None
+    seen = hand_seen(_frames(np.zeros(3), shifted, nearest=0.5))
+    assert not seen.is_told  # and so nothing in the log tests where the camera is to it
+    assert not seen.is_off
 
 
 def test_a_finger_that_is_not_where_its_description_has_it_is_named() -> None:
     """As of the other side's hand, or with a joint's axis reversed: depth shows the wall."""
     frames = _frames(np.zeros(3), np.zeros(3), leave_out="left")
-    off = hand_off(frames)
-    assert off is not None
+    off = hand_seen(frames)
+    assert off.is_told
     assert off.link == "left"
     assert off.through > 0.7
     assert not off.shift.any()
@@ -108,8 +112,8 @@ def test_a_finger_that_is_shorter_than_described_is_named() -> None:
     frames = _frames(np.zeros(3), np.zeros(3))
     for frame in frames:
         frame.depth[:128] = WALL_M  # the fingers end 28 mm before their described tips
-    off = hand_off(frames)
-    assert off is not None
+    off = hand_seen(frames)
+    assert off.is_told
     assert off.link in ("left", "right")
     assert 0.35 < off.through < 0.65
 
@@ -122,8 +126,8 @@ def test_a_link_whose_visual_mesh_is_known_is_looked_for_by_it() -> None:
         for f in _frames(put, seen)
     ]
     outlines = {link: [primitive(link, "box", np.eye(4), half)] for link, half, _ in HAND}
-    off = hand_off(frames, outlines)
-    assert off is not None
+    off = hand_seen(frames, outlines)
+    assert off.is_told
     assert off.shift == pytest.approx(seen, abs=0.002)
 
 
@@ -157,15 +161,28 @@ def test_a_shifted_mount_fails_and_the_printed_line_mends_it() -> None:
     frames = tuple(_frames(np.zeros(3), moved, count=20))
     pairs = tuple(Pair(f.t_ns, f.index, f.index) for f in frames)
     reader = cast(FrameReader, Reads(frames, robot))
-    failed, note = frame_checks(reader, pairs[:15], pairs[15:], False, ClockConfig())
-    assert [check.name for check in failed] == ["hand_seen"]
-    assert note == ""
-    assert "20 mm down, 10 mm nearer" in failed[0].what
-    assert "calibration.flange=flange" in failed[0].mend
-    found = re.search(r"T_flange_camera=\[(.*?)\]", failed[0].mend)
+    found_out = frame_checks(reader, pairs[:15], pairs[15:], False, ClockConfig())
+    assert [check.name for check in found_out.failed] == ["hand_seen"]
+    assert found_out.notes == []
+    assert found_out.untested == [CAMERA_UNTESTED]  # that hardly moves; the hand is seen
+    check = found_out.failed[0]
+    assert "20 mm down, 10 mm nearer" in check.what
+    assert "calibration.flange=flange" in check.mend
+    found = re.search(r"T_flange_camera=\[(.*?)\]", check.mend)
     assert found is not None
     T_mended = matrix_from_pose(np.array([float(v) for v in found[1].split(",")]))
     np.testing.assert_allclose(T_mended, T_true, atol=0.002)
+
+
+def test_a_camera_in_the_room_whose_pictures_do_not_show_the_hand_tests_nothing() -> None:
+    robot = SimpleNamespace(
+        tree=TransformTree(10**9), camera_frame="camera", base_frame=None, description=None
+    )
+    frames = tuple(_frames(np.zeros(3), np.zeros(3), count=20))
+    pairs = tuple(Pair(f.t_ns, f.index, f.index) for f in frames)
+    reader = cast(FrameReader, Reads(frames, robot))
+    found = frame_checks(reader, pairs[:15], pairs[15:], False, ClockConfig())
+    assert (found.failed, found.untested) == ([], [CAMERA_UNTESTED, HAND_UNTESTED])
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -179,14 +196,14 @@ def test_a_hand_that_fills_the_picture_is_not_told(seed: int) -> None:
         replace(f, hand=hand, depth=_depth(hand, WALL_M) + rng.normal(0, 0.006, f.depth.shape))
         for f in _frames(np.zeros(3), np.zeros(3))
     ]
-    assert hand_off(frames) is None
+    assert not hand_seen(frames).is_off
 
 
 def test_what_is_before_the_hand_does_not_make_it_seen_elsewhere() -> None:
     frames = _frames(np.zeros(3), np.zeros(3))
     for frame in frames:
         frame.depth[100:200, 100:180] = 0.25
-    assert hand_off(frames) is None
+    assert not hand_seen(frames).is_off
 
 
 def test_capsules_that_stand_in_for_a_mesh_say_nothing() -> None:
@@ -195,4 +212,4 @@ def test_capsules_that_stand_in_for_a_mesh_say_nothing() -> None:
         replace(f, hand=[(replace(s, rough=True), T) for s, T in f.hand or ()])
         for f in _frames(np.zeros(3), np.array([0.03, 0.0, 0.0]))
     ]
-    assert hand_off(frames) is None
+    assert not hand_seen(frames).is_off

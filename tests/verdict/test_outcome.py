@@ -97,6 +97,7 @@ def trial(
         opened=None,
         close=SimpleNamespace(missing=missing),
         checks=[SimpleNamespace(name=name) for name in checks],
+        untested=(),
     )
 
 
