@@ -25,7 +25,7 @@ LEAST_LEVER_M = 0.01
 LEAST_CLOSED = 0.02  # share of a joint's range, that a hand which closes moves it by; ours
 AHEAD = 0.4  # share of how far open fingertips stand out from the palm; ours
 LEAST_WAY_M = 1e-9  # m; points nearer than this are one
-BAR = 0.75  # share of the longest finger's reach, that a finger has at least; ours
+BAR = 0.75  # share of the longest finger's reach, that one of one joint has at least; ours
 
 
 @dataclass(frozen=True)
@@ -93,15 +93,19 @@ class HandGeometry:
     @cached_property
     def tips(self) -> tuple[tuple[str, Array], ...]:
         """Of each finger the link that reaches farthest from the palm, and the tip in that link's
-        frame (3,) m. A finger that parts has several. A bar of a linkage is no finger; nor is a
-        chain that reaches much less far than others.
+        frame (3,) m. A finger that parts has several. A bar of a linkage is no finger: one joint
+        moves it, and it reaches much less far than others. A thumb is short too, and has more.
         """
         joints = self.description.joints
         ends = [end for finger in self.links.fingers for end in self._ends(finger)]
         bars = {end for end in ends for link in end if crank_beside(joints, link) is not None}
-        found = [self._tip(end) for end in ends if end not in bars]
-        most = max(reach for reach, _, _ in found)
-        return tuple((link, tip) for reach, link, tip in found if reach > BAR * most)
+        found = [(self._tip(end), end) for end in ends if end not in bars]
+        most = max(reach for (reach, _, _), _ in found)
+        return tuple(
+            (link, tip)
+            for (reach, link, tip), end in found
+            if reach > BAR * most or sum(joints[k].kind != "fixed" for k in end) > 1
+        )
 
     def _ends(self, finger: tuple[str, ...]) -> list[tuple[str, ...]]:
         """For each last joint that moves of a finger, the links from the palm to it and what is

@@ -170,17 +170,20 @@ def capsules_of(
     """Capsules from the link's origin to the origin of each joint below it.
 
     A bar of a linkage is as long as the crank beside it. Another link without a joint below
-    reaches to twice its centre of mass, else as far as the link above it; else it is a sphere.
-    radius in m.
+    reaches to twice its centre of mass, else as far as the link above it; else it is a sphere, as a
+    knuckle is, on which another joint turns at the same place. radius in m.
     """
     below = sorted((j for j in joints.values() if j.parent == link), key=lambda j: j.name)
     ends = [j.origin[:3, 3] for j in below if np.linalg.norm(j.origin[:3, 3]) >= LEAST_M]
+    is_knuckle = not ends and any(joint.kind != "fixed" for joint in below)
     beside = crank_beside(joints, link)
     if beside is not None:
         ends = [beside]
-    elif not ends and mass_centre is not None and np.linalg.norm(mass_centre) >= LEAST_M:
+    elif ends or is_knuckle:
+        pass
+    elif mass_centre is not None and np.linalg.norm(mass_centre) >= LEAST_M:
         ends = [2 * mass_centre]
-    elif not ends and link in joints and np.linalg.norm(joints[link].origin[:3, 3]) >= LEAST_M:
+    elif link in joints and np.linalg.norm(joints[link].origin[:3, 3]) >= LEAST_M:
         # straight on from the link above, whatever way this one's axes are turned
         origin = joints[link].origin
         ends = [origin[:3, :3].T @ origin[:3, 3]]

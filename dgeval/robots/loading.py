@@ -17,6 +17,13 @@ from dgeval.robots.mjcf_description import is_mjcf, load_mjcf
 KNOWN_SOLIDS = ("box", "cylinder", "sphere", "mesh")  # of URDF
 
 
+# by what stands in a text that is no URDF, what mends it
+NO_URDF = {
+    "xacro:": "it is a xacro that was not expanded: record what xacro makes of it",
+    "<mujocoinclude": "it is a part of an MJCF: give the whole, as mj_saveLastXML writes it",
+}
+
+
 def load_description(
     text: str, source: str, mesh_dirs: tuple[str, ...], radius: float
 ) -> Description:
@@ -33,8 +40,8 @@ def load_description(
         robot = _parsed(text, notes)
     except Exception as error:
         what = f"the robot description is not a URDF ({describe(error)})"
-        hint = "it is a xacro that was not expanded: record what xacro makes of it"
-        raise UsageError(what, Place(source), hint if "xacro:" in text else None) from error
+        hint = next((mend for mark, mend in NO_URDF.items() if mark in text), None)
+        raise UsageError(what, Place(source), hint) from error
     joints: dict[str, Joint] = {}
     _check_tree(robot.robot, source)
     coupled = _coupling(robot.robot.joints, notes)

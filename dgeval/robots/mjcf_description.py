@@ -34,6 +34,8 @@ ELSEWHERE = ("include", "model", "plugin", "attach")
 # MuJoCo's numbers of kinds of joints
 HINGE, UNREAD = 3, {0: "free", 1: "ball"}
 STAND_IN_M = 1e-3  # radius of the sphere in place of a mesh while MuJoCo resolves the tree
+# rad; what limits written in radians are at most, where they are read as degrees (2 pi)
+MOST_RAD_AS_DEGREES = 0.11
 ELLIPSOID = 12  # points around an ellipsoid
 PIECE = 4096  # characters that are read at once until a text's first element
 
@@ -68,6 +70,7 @@ def load_mjcf(text: str, source: str, mesh_dirs: tuple[str, ...], radius: float)
         ) from error
     links = [model.body(b).name or f"body_{b}" for b in range(model.nbody)]
     joints = _joints(model, links, notes)
+    notes += _in_degrees(text, joints)
     shapes: dict[str, list[LinkShape]] = {}
     unusable: list[str] = []
     substituted: list[str] = []
@@ -89,6 +92,21 @@ def load_mjcf(text: str, source: str, mesh_dirs: tuple[str, ...], radius: float)
     if not all(np.isfinite(n).all() for n in numbers):
         raise UsageError("the robot description has numbers that are none", Place(source))
     return Description(joints, shapes, notes, mass_centres, radius)
+
+
+def _in_degrees(text: str, joints: dict[str, Joint]) -> list[str]:
+    """A note on a part of a larger model, which alone means degrees and was written in radians."""
+    compiler = ET.fromstring(text).find("compiler")
+    turns = [j.upper - j.lower for j in joints.values() if j.kind == "revolute"]
+    limited = [span for span in turns if np.isfinite(span)]
+    if not limited or max(limited) > MOST_RAD_AS_DEGREES:
+        return []
+    if compiler is not None and compiler.get("angle") is not None:
+        return []
+    return [
+        f"no joint turns by more than {np.degrees(max(limited)):.2g} degrees, which is what MJCF's "
+        'angles are in without a <compiler angle="radian"/>: does it miss one?'
+    ]
 
 
 def _spec(text: str, source: str) -> tuple[Any, dict[str, Any]]:
@@ -214,12 +232,15 @@ def _coupling(model: mujoco.MjModel, names: list[str], notes: list[str]) -> Coup
             continue
         at, at_other = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (one, other))
         direct[names[one]] = names[other], a1, at + a0 - a1 * at_other
+    told = []
     for t in range(model.ntendon):
         first, count = model.tendon_adr[t], model.tendon_num[t]
         wraps = range(first, first + count)
         if all(model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT for w in wraps) and count > 1:
-            along = ", ".join(names[model.wrap_objid[w]] for w in wraps)
-            notes.append(f"a tendon drives {along} together: each must be recorded")
+            along = [names[model.wrap_objid[w]] for w in wraps]
+            if sum(name not in direct for name in along) > 1:
+                told.append(f"a tendon drives {', '.join(along)} together: each must be recorded")
+    notes += dict.fromkeys(told)
     return direct
 
 

@@ -269,6 +269,43 @@ def test_a_bar_of_a_linkage_is_no_finger() -> None:
     assert 2 * bar.T_link_shape[:3, 3] == pytest.approx([0.0, 0.04, 0.04])
 
 
+def short_thumb() -> DescribedHand:
+    """Two long fingers on knuckles that have no solid, and a thumb half as long, of two joints."""
+    joints, solids = [], {"palm": box("0.08 0.02 0.02", "0 0 -0.01")}
+    for side, x in (("a", -0.02), ("b", 0.02)):
+        k, f, d = (f"{part}_{side}" for part in ("knuckle", "finger", "distal"))
+        joints += [
+            joint(f"spread_{side}", "palm", k, xyz=f"{x} 0 0.08", axis="0 1 0", limits=(-0.2, 0.2)),
+            joint(f"bend_{side}", k, f, axis="1 0 0", limits=(0.0, 1.5)),
+            joint(f"curl_{side}", f, d, xyz="0 0 0.04", axis="1 0 0", limits=(0.0, 1.5)),
+        ]
+        solids |= {f: box("0.01 0.01 0.04", "0 0 0.02"), d: box("0.01 0.01 0.03", "0 0 0.015")}
+    joints += [
+        joint("base", "palm", "near", xyz="0 -0.05 0.02", axis="1 0 0", limits=(-1.0, 0.0)),
+        joint("end", "near", "thumb", xyz="0 0 0.03", axis="1 0 0", limits=(-1.0, 0.0)),
+    ]
+    solids |= {"near": box("0.01 0.01 0.03", "0 0 0.015"), "thumb": box("0.01 0.01 0.02")}
+    mount = joint("mount", "flange", "palm", "fixed")
+    return made(robot([*ARM, mount, *joints], solids), "palm", {})
+
+
+def test_a_thumb_of_several_joints_is_a_finger_however_short() -> None:
+    """Fails where it is taken for a linkage's bar: fingers side by side then never close."""
+    geometry = short_thumb().geometry
+    assert [link for link, _ in geometry.tips] == ["distal_a", "distal_b", "thumb"]
+    closed = dict(zip(geometry.names, geometry.closed, strict=True))
+    assert closed["bend_a"] == closed["bend_b"] == 1.5
+
+
+def test_a_knuckle_without_a_solid_reaches_nowhere() -> None:
+    """Fails where it is as long as the palm behind it, and its end is the fingertip."""
+    knuckle = joint("spread", "palm", "knuckle", xyz="0 0 0.08", axis="0 1 0")
+    missing = '<collision><geometry><mesh filename="package://g/no.stl"/></geometry></collision>'
+    text = robot([knuckle, joint("bend", "knuckle", "finger", axis="1 0 0")], {"knuckle": missing})
+    [shape] = load_description(text, "a test", (), 0.01).shapes["knuckle"]
+    assert shape.kind == "sphere"
+
+
 def test_a_finger_that_parts_has_a_tip_at_each_end() -> None:
     """Fails where two pads on one side count as one, and the hand's centre is before that one."""
     pads = [

@@ -140,6 +140,23 @@ def test_what_cant_be_taken_whole_is_said(tmp_path: Path) -> None:
         "</fixed></tendon><equality>",
     )
     assert loaded(pulled).notes == ["a tendon drives pitch, roll together: each must be recorded"]
+    twice = pulled.replace("</tendon>", '<fixed name="u"><joint joint="pitch" coef="1"/>'
+                           '<joint joint="roll" coef="-1"/></fixed></tendon>')  # fmt: skip
+    assert loaded(twice).notes == loaded(pulled).notes
+    coupled = pulled.replace('joint="pitch"', 'joint="jaw"')
+    coupled = coupled.replace('joint="roll"', 'joint="other"')
+    assert loaded(coupled).notes == []  # one follows the other, whatever drives both
+
+
+def test_a_part_of_a_model_that_is_in_radians_is_told() -> None:
+    """As robosuite's grippers are, whose <compiler> stands in the robot that they are put on."""
+    part = ARM.replace('<compiler angle="degree" eulerseq="zyx"/>', "")
+    assert loaded(part).notes == []
+    part = part.replace('range="-90 90"', 'range="-1.57 1.57"')
+    [note] = loaded(part).notes
+    assert note.startswith("no joint turns by more than 3.1 degrees")
+    stated = ARM.replace('range="-90 90"', 'range="-1.57 1.57"')
+    assert loaded(stated).notes == []
 
 
 @pytest.mark.parametrize(
@@ -206,3 +223,8 @@ def test_the_comments_before_a_description_cost_no_time() -> None:
     assert not is_mjcf("")
     assert not is_mjcf('<sdf version="1.9"/>')
     assert not is_mjcf("<!-- never closed")
+
+
+def test_a_part_of_an_mjcf_is_named_as_that() -> None:
+    with pytest.raises(UsageError, match="a part of an MJCF"):
+        loaded("<mujocoinclude><body name='palm'/></mujocoinclude>")
