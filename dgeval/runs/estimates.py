@@ -33,7 +33,7 @@ class _Strict(BaseModel):
 
 
 class _Closing(_Strict):
-    """before, speeds (k,), way (m, k) as `Closing`. trial: whose it is. close_s_sd: over all
+    """before, speeds, until (k,), way (m, k) as `Closing`. trial: whose it is. close_s_sd: over all
     trials that show one, s; null for one alone."""
 
     trial: str
@@ -41,6 +41,7 @@ class _Closing(_Strict):
     before: Floats
     way: list[Floats]
     speeds: Floats
+    until: Floats | None = None
     close_s: FiniteFloat
     close_s_sd: FiniteFloat | None
 
@@ -67,6 +68,7 @@ class _Hand(_Strict):
             if not self.closing.way:
                 raise ValueError("the way has no moment")
             rows += [self.closing.before, self.closing.speeds, *self.closing.way]
+            rows += [self.closing.until or self.closing.before]
         if self.empty is not None:
             rows += [self.empty.rest, self.empty.sd]
         if any(len(row) != len(self.joints) for row in rows):
@@ -99,6 +101,7 @@ def shown_as_json(shown: HandShown) -> dict[str, Any]:
             "before": _rounded(closing.before),
             "way": _rounded(closing.way),
             "speeds": _rounded(closing.speeds),
+            "until": None if closing.until is None else _rounded(closing.until),
         },
         "empty": None if shown.empty is None else _rounded(shown.empty),
     }
@@ -200,5 +203,8 @@ def read_estimates(path: Path) -> Estimates:
 
 def _estimate(hand: _Hand) -> HandEstimate:
     c, e = hand.closing, hand.empty
-    closing = None if c is None else Closing(*map(np.array, (c.before, c.way, c.speeds)))
+    closing = None
+    if c is not None:
+        until = None if c.until is None else np.array(c.until)
+        closing = Closing(np.array(c.before), np.array(c.way), np.array(c.speeds), until)
     return HandEstimate(closing, None if e is None else np.array(e.rest))

@@ -14,10 +14,17 @@ from dgeval.failure_rule import Unknown
 from dgeval.geometry import Array, invert, rotation_vector, transform
 from dgeval.hindsight.second_pass import Hindsight
 from dgeval.robots.described_hand import DescribedHand
+from dgeval.robots.description import Joint
 from dgeval.robots.hand import Hand
 from dgeval.verdict.beliefs import Beliefs, beliefs_of
 from dgeval.verdict.log import Recorded, TrialLog
-from dgeval.verdict.recorded_closing import LONGEST_S, Closing, closing_as, recorded_closing
+from dgeval.verdict.recorded_closing import (
+    LONGEST_S,
+    REST_TICKS,
+    Closing,
+    closing_as,
+    recorded_closing,
+)
 from dgeval.verdict.recorded_force import recorded_force
 from dgeval.verdict.recorded_lift import LOOK_S, recorded_lift
 from dgeval.worlds.closing import CONTROL_S, Finish
@@ -120,6 +127,8 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
     points = transform(T_support_base @ hindsight.path.at(end_ns), hindsight.points)
     above = hindsight.support is None or float(np.quantile(points[:, 2], 0.02)) > HELD_ABOVE_M
     held = above and _rises(hindsight, T_support_base, end_ns)
+    if not held:  # it stands, and neither rises nor sinks while it is not seen
+        points[:, 2] -= _risen_unseen(hindsight, T_support_base, end_ns)
     if hindsight.support is None and not held:
         return Unknown("what the object stands on was never seen")
     if not held and (deep := -float(np.median(points[:, 2]))) > 0.0:
@@ -169,10 +178,12 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
             break
         closing.append(row)
     way = np.array(closing, dtype=float).reshape(-1, len(drives))
+    finish = None if close_ns is None else _finish(log, base, root, T_support_base)
     closed = None
     if isinstance(gripper, DescribedHand):
         near = transform(invert(poses[-1]), points)
-        closed = recorded_closing(gripper, np.array(fingers[-1], dtype=float), way, near)
+        before = np.array(fingers[-1], dtype=float)
+        closed = recorded_closing(gripper, before, way, near, _empty(log, drives, finish))
         if closed is not None:
             gripper = closing_as(gripper, closed, "recorded")
         elif log.elsewhere.closing is not None:
@@ -193,7 +204,7 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
         np.array(velocities),
         _going(log.recorded, gripper, np.array(poses), T_support_base, end_ns),
         way,
-        None if close_ns is None else _finish(log, base, root, T_support_base),
+        finish,
     )
     beliefs = beliefs_of(log, hindsight)
     return Scene(
@@ -223,6 +234,32 @@ def _finish(log: TrialLog, base: str, root: str, T_support_base: Array) -> Finis
             break
         poses.append(T_support_base @ T)
     return recorded_lift(np.array(poses)) if poses else None
+
+
+def _empty(log: TrialLog, drives: list[Joint], finish: Finish | None) -> Array | None:
+    """Where the joints of a hand (k,) rest after the lift of a grasp that failed: empty, as what is
+    between fingers is lifted. None where the log does not hold that.
+    """
+    if finish is None or log.close_ns is None:
+        return None
+    lifted_ns = log.close_ns + len(finish.twists) * PERIOD_NS
+    end_ns = min([log.last_ns, *([] if log.released_ns is None else [log.released_ns])])
+    times = range(end_ns - REST_TICKS * PERIOD_NS, end_ns, PERIOD_NS)
+    if times.start < lifted_ns:
+        return None
+    joints = log.robot.joints
+    rows = [[joints.position(j, t, log.max_gap_ns) for j in drives] for t in times]
+    if any(v is None for row in rows for v in row):
+        return None
+    return np.asarray(np.median(np.array(rows, dtype=float), axis=0))
+
+
+def _risen_unseen(hindsight: Hindsight, T_support_base: Array, end_ns: int) -> float:
+    """How far the path leads up, m, from where the object was last seen on it to a time."""
+    path = hindsight.path
+    last_ns = min(int(path.t_ns[-1]), end_ns)
+    moved = path.at(end_ns)[:3, 3] - path.at(last_ns)[:3, 3]
+    return float((T_support_base[:3, :3] @ moved)[2])
 
 
 def _rises(hindsight: Hindsight, T_support_base: Array, end_ns: int) -> bool:

@@ -1,7 +1,8 @@
 """The closing motion of a described hand, as its own trial recorded it.
 
 A joint that came to rest with nothing beside its finger stops there at any other close too: a width
-that was commanded is no limit. One that something may have stopped goes on at its last free speed.
+that was commanded is no limit. One that something may have stopped goes on at its last free speed:
+to where it rests after a lift that left the object behind, where the log has one.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ STANDS = 0.1
 SETTLED = 0.01  # share of its way, within which a joint is where it comes to rest; ours
 BESIDE_M = 0.010  # m; a finger so near to the object may have been stopped; ours
 TOGETHER_TICKS = 5  # control periods, within which fingers come to rest together; ours
+STILL_CLOSED = 0.5  # share of how far a joint had closed when it first stood; ours
 LEAST_MOVED = 0.02  # share of a joint's range, or rad and m, by which it moves if it closes at all
 
 
@@ -36,12 +38,15 @@ class Closing:
     """How a hand closes with nothing in its way, by its joints (k,), rad or m.
 
     before (k,): at the close command. way (m, k): at the control periods after it. speeds (k,): per
-    control period, with which a joint that something may have stopped goes on after the way.
+    control period, with which a joint that something may have stopped goes on after the way. until
+    (k,): where they rest with nothing between the fingers, beyond which none goes; None where that
+    is not known.
     """
 
     before: Array
     way: Array
     speeds: Array
+    until: Array | None = None
 
     @property
     def lasts_s(self) -> float:
@@ -50,13 +55,14 @@ class Closing:
 
 
 def recorded_closing(
-    hand: DescribedHand, before: Array, path: Array, points: Array
+    hand: DescribedHand, before: Array, path: Array, points: Array, empty: Array | None = None
 ) -> Closing | None:
     """The closing motion that was recorded; None where the hand did not move.
 
     before (k,): its joints at the close command. path (m, k): at the control periods after it, rad
     or m, as far as recorded. points (n, 3) m: the object at the close, which may stop a finger, in
-    its base frame.
+    its base frame. empty (k,): where the joints rest after the hand has lifted and left the object
+    behind; None where the log does not go so far.
     """
     if len(path) < REST_TICKS:
         return None
@@ -67,6 +73,8 @@ def recorded_closing(
         return None
     q = np.vstack([before, path])  # by period
     stands = np.array([_first_stands(q[:, k], least[k]) for k in range(len(before))])
+    if empty is not None and _is_open_again(q, stands, empty, least):
+        empty = None
     stopped = _may_be_stopped(hand, q[stands, np.arange(len(before))], points)
     if (free := moved & ~stopped).any():
         # fingers that end with those that nothing is beside end where they were sent
@@ -85,7 +93,17 @@ def recorded_closing(
         speed = float(np.sign(q[stands[k], k] - before[k])) * usual
         way[until:, k] = q[until, k] + speed * np.arange(1, last - until + 1)
         speeds[k] = speed
-    return Closing(before, np.clip(way, *hand.geometry.limits), speeds)
+    return Closing(before, np.clip(way, *hand.geometry.limits), speeds, empty)
+
+
+def _is_open_again(q: Array, stands: NDArray[np.int_], empty: Array, least: Array) -> bool:
+    """Whether a joint that had closed where it first stood rests much farther open.
+
+    q (m, k): positions by period. stands (k,): where each stood first. empty, least (k,): where
+    they rest, and motion that counts, rad or m.
+    """
+    stood = np.abs(q[stands, np.arange(len(stands))] - q[0])
+    return bool(((stood > least) & (np.abs(empty - q[0]) < STILL_CLOSED * stood)).any())
 
 
 def _without_outliers(q: Array) -> Array:
@@ -111,6 +129,9 @@ def closing_as(
 ) -> DescribedHand:
     """The hand with that closing motion, of this trial (`recorded`) or of another one."""
     lower, upper = hand.geometry.limits
+    if closing.until is not None:
+        upper = np.where(closing.until > closing.before, np.minimum(upper, closing.until), upper)
+        lower = np.where(closing.until < closing.before, np.maximum(lower, closing.until), lower)
     # the fingers before this trial's own close are its own
     opened = closing.before if source == "recorded" else hand.geometry.open
     geometry = replace(hand.geometry, open=opened)

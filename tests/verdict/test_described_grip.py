@@ -197,6 +197,36 @@ def test_jaws_that_snap_shut_when_the_object_slips_out() -> None:
     assert hand.close_s == pytest.approx((OPEN - 0.015) / SPEED, abs=0.03)
 
 
+def held_then_lost(rest: float) -> Array:
+    """(m, 2) m: jaws that stand at 15 mm for a while, lose what they held, and come to rest."""
+    lost = path(0.015) + np.random.default_rng(0).normal(0, 5e-5, (299, 2))
+    lost[180:] = rest
+    return lost
+
+
+def test_jaws_close_to_where_they_rest_empty() -> None:
+    """Fails where jaws that were sent to 5 mm close to 0 at any other time: they then sweep past
+    what they would have held. The object still lies between them at the close.
+    """
+    opened = np.full(2, OPEN)
+    closing = recorded_closing(gripper(), opened, held_then_lost(0.005), BETWEEN, np.full(2, 0.005))
+    assert closing is not None
+    hand = closing_as(gripper(), closing, "recorded")
+    assert joints_after(hand, 0.1) == pytest.approx([0.03, 0.03], abs=3e-4)
+    assert joints_after(hand, 0.3) == pytest.approx([0.01, 0.01], abs=1e-3)
+    assert hand.targets(10.0, opened) == pytest.approx([0.005, 0.005])
+    assert hand.close_s == pytest.approx((OPEN - 0.015) / SPEED, abs=0.03)
+
+
+def test_jaws_that_have_opened_again_do_not_rest_empty() -> None:
+    """Fails where a hand that waits for its next try is said to close to where it stands then."""
+    opened = np.full(2, OPEN)
+    closing = recorded_closing(gripper(), opened, path(0.015), BETWEEN, np.full(2, 0.035))
+    assert closing is not None
+    hand = closing_as(gripper(), closing, "recorded")
+    assert hand.targets(10.0, opened) == pytest.approx([0.0, 0.0])
+
+
 def test_free_jaws_move_in_physics_as_recorded() -> None:
     """Fails where drives that follow late make the twin's fingers late: by 6 mm here."""
     hand = moved_as_recorded(gripper(), np.full(2, OPEN), path(0.015), NOTHING)

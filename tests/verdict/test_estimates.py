@@ -71,6 +71,17 @@ def test_the_closing_that_nothing_stopped_and_that_took_the_middle_time(tmp_path
     assert found.closing.way == pytest.approx(closing(31).way, abs=1e-6)
 
 
+def test_where_a_closing_ends_is_kept(tmp_path: Path) -> None:
+    """Fails where another trial's close, which an object stopped, goes on to the limits."""
+    made = replace(closing(stopped=True), until=np.full(2, 0.004))
+    found = read(tmp_path, [("a", shown(made))]).of(gripper())
+    assert found is not None
+    assert found.closing is not None
+    assert found.closing.until == pytest.approx([0.004, 0.004])
+    hand = closing_as(gripper(), found.closing, "estimates")
+    assert hand.targets(10.0, np.full(2, OPEN)) == pytest.approx([0.004, 0.004])
+
+
 def test_what_two_trials_agree_on_is_an_empty_close(tmp_path: Path) -> None:
     """Fails where one trial's rest, such as an object's size, is how the hand closes on nothing."""
     one = [("a", shown(closing(), 0.020)), ("b", shown(closing(), 0.010))]
