@@ -150,7 +150,7 @@ def test_what_cant_be_taken_whole_is_said(tmp_path: Path) -> None:
 
 def test_a_part_of_a_model_that_is_in_radians_is_told() -> None:
     """As robosuite's grippers are, whose <compiler> stands in the robot that they are put on."""
-    part = ARM.replace('<compiler angle="degree" eulerseq="zyx"/>', "")
+    part = ARM.replace('<compiler angle="degree" eulerseq="zyx"/>', '<compiler eulerseq="zyx"/>')
     assert loaded(part).notes == []
     part = part.replace('range="-90 90"', 'range="-1.57 1.57"')
     [note] = loaded(part).notes

@@ -2642,6 +2642,78 @@ MUTANTS = [
         'return bool(first[1].tag != "robot")',
         "tests/robots/test_mjcf_description.py",
     ),
+    Mutant(
+        "dgeval/robots/hand_geometry.py",
+        'if reach > BAR * most or sum(joints[k].kind != "fixed" for k in end) > 1',
+        "if reach > BAR * most",
+        "tests/robots/test_described_hand.py",
+    ),
+    Mutant(
+        "dgeval/robots/link_shapes.py",
+        'is_knuckle = not ends and any(joint.kind != "fixed" for joint in below)',
+        "is_knuckle = False",
+        "tests/robots/test_described_hand.py",
+    ),
+    Mutant(
+        "dgeval/robots/mjcf_description.py",
+        "if sum(name not in direct for name in along) > 1:",
+        "if True:",
+        "tests/robots/test_mjcf_description.py",
+    ),
+    Mutant(
+        "dgeval/robots/mjcf_description.py",
+        'if compiler is not None and compiler.get("angle") is not None:',
+        "if compiler is not None:",
+        "tests/robots/test_mjcf_description.py",
+    ),
+    Mutant(
+        "dgeval/recording/frame_checks.py",
+        "*([] if hand.is_told else [HAND_UNTESTED])",
+        "*([] if hand.is_off else [HAND_UNTESTED])",
+        "tests/recording/test_hand_seen.py",
+    ),
+    Mutant(
+        "dgeval/recording/hand_seen.py",
+        "    if len(views) < LEAST_FRAMES:\n        return HandSeen(False)",
+        "    if len(views) < LEAST_FRAMES:\n        return HandSeen(True)",
+        "tests/recording/test_hand_seen.py",
+    ),
+    Mutant(
+        "dgeval/verdict/judge.py",
+        "if len(log.untested) < 2 or not _is_of_pose(decision):",
+        "if not log.untested or not _is_of_pose(decision):",
+        "tests/verdict/test_sentence.py",
+    ),
+    Mutant(
+        "dgeval/verdict/evidence.py",
+        "points[:, 2] -= _risen_unseen(",
+        "points[:, 2] += _risen_unseen(",
+        "tests/verdict/test_evidence.py",
+    ),
+    Mutant(
+        "dgeval/verdict/evidence.py",
+        "    if times.start < lifted_ns:",
+        "    if end_ns < lifted_ns:",
+        "tests/verdict/test_evidence.py",
+    ),
+    Mutant(
+        "dgeval/verdict/recorded_closing.py",
+        "< STILL_CLOSED * stood)).any())",
+        "< 0.0 * stood)).any())",
+        "tests/verdict/test_described_grip.py",
+    ),
+    Mutant(
+        "dgeval/verdict/recorded_closing.py",
+        "lower = np.where(closing.until < closing.before, np.maximum(lower, closing.until), lower)",
+        "pass",
+        "tests/verdict/test_described_grip.py",
+    ),
+    Mutant(
+        "dgeval/runs/estimates.py",
+        "closing = Closing(np.array(c.before), np.array(c.way), np.array(c.speeds), until)",
+        "closing = Closing(np.array(c.before), np.array(c.way), np.array(c.speeds))",
+        "tests/verdict/test_estimates.py",
+    ),
 ]
 
 
