@@ -8,9 +8,12 @@ import shutil
 import tempfile
 import weakref
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import zstandard
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from dgeval.errors import Damage, Place, UnreadableError, describe
 from dgeval.recording.containers.container import (
@@ -33,6 +36,7 @@ OTHER_PACKING = {
 PACKED = (".zstd", ".zst", ".gz")  # behind a name: the file is compressed as a whole
 STORED = (".mcap", ".db3")  # what a ROS 2 folder holds, also with .zstd behind it
 METADATA = "metadata.yaml"
+MOST_NAMED = 3  # topics in a sentence
 LISTED = re.compile(
     r"^\s*-\s+(?:path:\s*)?\"?([^\s\"]+\.(?:mcap|db3)(?:\.zstd)?)\"?\s*$", re.MULTILINE
 )
@@ -112,7 +116,33 @@ def _folder(path: Path) -> Container:
             Place(str(path)),
             "give them one by one, or in a manifest",
         )
-    return _joined(path, files)
+    joined = _joined(path, files)
+    fewer = _fewer_than_listed(joined, text)
+    if fewer:
+        joined.damage.append(Damage(fewer, Place(str(path / METADATA))))
+    return joined
+
+
+def _fewer_than_listed(joined: Container, text: str) -> str:
+    """In words, of which topics the files hold fewer messages than their metadata.yaml counts."""
+    try:
+        listed = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
+        counts = {
+            one["topic_metadata"]["name"]: int(one["message_count"])
+            for one in listed["topics_with_message_count"]
+        }
+    except (YAMLError, KeyError, TypeError, ValueError):
+        return ""  # no metadata.yaml, or another program's
+    held = {name: topic.count for name, topic in joined.topics.items()}
+    fewer = [
+        f"{count} on {name}, and {held.get(name, 0)} are there"
+        for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+        if (there := held.get(name, 0)) is not None and there < count
+    ]
+    if not fewer:
+        return ""
+    more = f"; and so on {len(fewer) - MOST_NAMED} topics more" if len(fewer) > MOST_NAMED else ""
+    return f"{METADATA} counts messages that are lost: {'; '.join(fewer[:MOST_NAMED])}{more}"
 
 
 def missing_parts(folder: Path) -> list[str]:
@@ -128,22 +158,28 @@ def missing_parts(folder: Path) -> list[str]:
 def _joined(path: Path, files: list[Path]) -> Container:
     from dgeval.recording.containers.parts import PartsContainer
 
-    opened = [_file(file) for file in files[:1]]
-    for file in files[1:]:
+    opened: list[Container] = []
+    lost: list[tuple[int, Damage]] = []  # each with how many parts before it could be read
+    for file in files:
         try:
             opened.append(_file(file))
         except UnreadableError as error:
-            if file != files[-1]:
+            if len(files) == 1 or (file == files[-1] and not opened):
                 raise
-            # the recorder was killed when it had begun its last part
+            # one that its recorder had just begun when it was killed, or that was copied in part
             what = f"{file.name} can't be read ({error.what}): what it holds is missing"
-            opened[-1].damage.append(Damage(what, Place(str(file)), _end_ns(opened[-1])))
+            lost.append((len(opened), Damage(what, Place(str(file)))))
+    for before, damage in lost:
+        ends = [part.span_ns for part in opened]
+        start = ends[before - 1] if before else None
+        stop = ends[before] if before < len(ends) else None
+        whole = replace(
+            damage,
+            lost_from_ns=None if start is None else start[1],
+            lost_to_ns=None if stop is None or start is None else stop[0],
+        )
+        opened[max(0, before - 1)].damage.append(whole)
     return opened[0] if len(files) == 1 else PartsContainer(path, opened)
-
-
-def _end_ns(part: Container) -> int | None:
-    """The last log time of a part, ns, where it tells without being read."""
-    return None if part.span_ns is None else part.span_ns[1]
 
 
 def _file(path: Path) -> Container:
