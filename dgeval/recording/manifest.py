@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from dgeval.config import read_toml, validated
 from dgeval.errors import Place, UndecodableError, UnreadableError, UsageError
@@ -36,7 +36,7 @@ NO_RECORDING = (".rrd", ".parquet", ".json", ".toml", ".yaml", ".py", ".md")
 class _ManifestTrial(BaseModel):
     model_config = ConfigDict(extra="forbid")
     id: str | None = None
-    recording: str
+    recording: str | Annotated[list[str], Field(min_length=1)]
     sha256: str | None = None
     start_ns: int | None = None
     end_ns: int | None = None
@@ -79,7 +79,8 @@ class TrialSpec:
     bbox_time_ns on. label: an operator's, success or failure. cause: an operator's word for why.
     close_ns, lift_ns: of the commands, where a person knows better than the log; close_after_s,
     lift_after_s: likewise, s after the first frame. sha256: of the
-    recording, as the manifest says. parts: the files of a recording that was split, in order.
+    recording, as the manifest says. parts: the files that together are the recording: of one that
+    was split, in order, or of several computers.
     window_is_log_time: start and end are of messages without a time of their own, as logged.
     is_between_pauses: start and end are pauses of the recorder, and nobody's word. repeats: of a
     file that holds what another one of the run holds, what it is.
@@ -249,25 +250,19 @@ def _from_manifest(path: Path) -> list[TrialSpec]:
     manifest = validated(_Manifest, values, "manifest", path)
     out = []
     for entry in manifest.trial:
-        recording = path.parent / entry.recording
+        names = [entry.recording] if isinstance(entry.recording, str) else entry.recording
+        files = tuple(path.parent / name for name in names)
+        recording, parts = files[0], files if len(files) > 1 else ()
+        name = entry.id or str(Path(names[0]).with_suffix(""))
         given = entry.model_dump(exclude={"recording", "id"})
         if entry.start_ns is None and entry.frames is None:
-            for spec in _of_recording(
-                recording,
-                entry.id or str(Path(entry.recording).with_suffix("")),
-                None,
-                at_pauses=False,
-            ):
+            for spec in _of_recording(recording, name, None, parts, at_pauses=False):
                 times: dict[str, Any] = {
                     "start_ns": spec.start_ns,
                     "end_ns": entry.end_ns or spec.end_ns,
                     "window_is_log_time": spec.window_is_log_time and entry.end_ns is None,
                 }
-                out.append(TrialSpec(spec.id, recording, **{**given, **times}))
+                out.append(TrialSpec(spec.id, recording, parts=parts, **{**given, **times}))
         else:
-            out.append(
-                TrialSpec(
-                    entry.id or str(Path(entry.recording).with_suffix("")), recording, **given
-                )
-            )
+            out.append(TrialSpec(name, recording, parts=parts, **given))
     return out

@@ -20,6 +20,9 @@ NUMBERED = re.compile(
 # next trial takes longer; ours
 GAP_NS = 500_000_000
 
+MOSTLY = 0.5  # share of the shorter one's time, over which both were recorded; ours
+MOST_BESIDE = 50  # files of a folder that are looked at
+
 Numbered = dict[tuple[Path, str, str], dict[int, Path]]  # by folder, name and suffix; by number
 
 
@@ -49,6 +52,32 @@ def unread_part(path: Path, read: tuple[Path, ...] = ()) -> Path | None:
         if len(files) == 2 and not set(files) <= set(read) and _follow(files):
             return next(file for file in files if file != path)
     return None
+
+
+def of_another_computer(path: Path) -> Path | None:
+    """The file beside a recording that was recorded over the same time and shares no topic with it,
+    as the robot's computer has it beside the camera's; None without, or where several are.
+    """
+    try:
+        own = open_container(path)
+    except UnreadableError:
+        return None
+    span = own.container.span_ns
+    if span is None or not path.is_file():
+        return None
+    found = []
+    for file in sorted(path.parent.glob(f"*{path.suffix}"))[:MOST_BESIDE]:
+        try:
+            other = None if file == path else open_container(file)
+        except UnreadableError:
+            continue
+        theirs = None if other is None else other.container.span_ns
+        if other is None or theirs is None or own.topics.keys() & other.topics.keys():
+            continue
+        shared = min(span[1], theirs[1]) - max(span[0], theirs[0])
+        if shared > MOSTLY * min(span[1] - span[0], theirs[1] - theirs[0]):
+            found.append(file)
+    return found[0] if len(found) == 1 else None
 
 
 def _numbered(paths: list[Path]) -> Numbered:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,7 @@ from dgeval.recording.recorded_target import RECORDED, UNDECODABLE, marks_of, un
 from dgeval.recording.robot import RobotStates, robot_states
 from dgeval.recording.roles import Roles, find_roles, image_topics
 from dgeval.recording.scan import Scan, add_to_stamps, scan
+from dgeval.recording.splits import of_another_computer
 
 __all__ = ["Trial", "find_trials", "open_trial"]  # scripts outside the package find all three here
 
@@ -142,7 +144,22 @@ def open_trial(spec: TrialSpec, config: Config, sha256: str | None = None) -> Tr
         alone = spec.recording.exists() and not spec.parts
         for part in part_check(spec.recording) if alone else []:
             raise type(error)(f"{error.what}: {part.what}", error.place, part.mend) from error
+        if alone and (beside := _beside(spec.recording)):
+            hints = [text for text in (error.hint, beside) if text]
+            raise type(error)(error.what, error.place, "; ".join(hints)) from error
         raise
+
+
+def _beside(recording: Path) -> str:
+    """In words, which file beside a recording may be of the same trial; "" for none."""
+    other = of_another_computer(recording)
+    if other is None:
+        return ""
+    both = f'recording = ["{recording.name}", "{other.name}"]'
+    return (
+        f"{other.name} beside it was recorded at the same time: if it is of the same trial, "
+        f"an entry of a manifest puts them together: {both}"
+    )
 
 
 def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
@@ -197,10 +214,12 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
     grippers = gripper_tracks(scanned, robot)
     close = close_of(marked, robot, first_ns, window.pairs[-1].t_ns, *given, grippers)
     events = close.events
+    lacks_robot = robot.base_frame is None and not spec.parts
     notes = [
         *opened.notes,
         *([f"this file is {spec.repeats}: {COUNTS_TWICE}"] if spec.repeats else []),
         *([PAUSES] if spec.is_between_pauses else []),
+        *([beside] if lacks_robot and (beside := _beside(spec.recording)) else []),
         *clock_note,
         *roles.notes,
         *robot.notes,

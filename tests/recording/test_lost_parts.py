@@ -1,5 +1,5 @@
 """Catches parts and messages of a split recording that are gone without a word, or for which the
-rest is refused.
+rest is refused; and the recordings of a trial's two computers that nothing puts together.
 """
 
 from __future__ import annotations
@@ -7,8 +7,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from dgeval.config import Config
+from dgeval.errors import UnreadableError, UsageError
 from dgeval.recording.containers.opening import open_container
-from tests.recording.recorders import Message
+from dgeval.recording.manifest import find_trials
+from dgeval.recording.trials import open_trial
+from tests.recording.recorders import Message, contents, opened, write
 from tests.recording.test_ninth_strangers import parts
 
 JOINTS = "/joint_states"
@@ -38,11 +42,11 @@ def test_the_parts_that_can_be_read_are(tmp_path: Path, messages: list[Message],
     whole = [(m.topic, m.log_ns) for m in open_container(tmp_path / "run").messages()]
     there = [open_container(file) for k, file in enumerate(files) if k != gone]
     files[gone].write_bytes(b"")
-    opened = open_container(tmp_path / "run")
-    found = [(m.topic, m.log_ns) for m in opened.messages()]
+    rest = open_container(tmp_path / "run")
+    found = [(m.topic, m.log_ns) for m in rest.messages()]
     kept = [(m.topic, m.log_ns) for part in there for m in part.messages()]
     assert found == sorted(kept, key=whole.index)
-    counted, lost = sorted(opened.damage, key=lambda damage: "can't be read" in damage.what)
+    counted, lost = sorted(rest.damage, key=lambda damage: "can't be read" in damage.what)
     assert f"{files[gone].name} can't be read (the file is empty)" in lost.what
     spans = [span for part in there if (span := part.span_ns()) is not None]
     if gone == 1:
@@ -81,3 +85,53 @@ def test_another_programs_metadata_counts_nothing(
     parts(tmp_path / "run", messages, 2)
     (tmp_path / "run" / "metadata.yaml").write_text(text)
     assert open_container(tmp_path / "run").damage == []
+
+
+def two_computers(folder: Path, messages: list[Message]) -> dict[str, list[Message]]:
+    """The camera's and the robot's recording of one trial."""
+    folder.mkdir()
+    held = {"camera": [m for m in messages if "camera" in m[1]]}
+    held["robot"] = [m for m in messages if "camera" not in m[1]]
+    for name, own in held.items():
+        write(folder / f"{name}.mcap", own)
+    return held
+
+
+def test_the_recordings_of_two_computers_are_one_by_a_manifest(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    whole = contents(opened(write(tmp_path / "whole.mcap", messages)))
+    two_computers(tmp_path / "run", messages)
+    manifest = tmp_path / "run" / "m.toml"
+    manifest.write_text('[[trial]]\nrecording = ["camera.mcap", "robot.mcap"]\n')
+    (spec,) = find_trials([manifest])
+    assert spec.id == "camera"
+    trial = open_trial(spec, Config())
+    assert contents(trial) == whole
+    assert trial.checks == ()
+    manifest.write_text("[[trial]]\nrecording = []\n")
+    with pytest.raises(UsageError, match="recording"):
+        find_trials([manifest])
+
+
+def test_a_recording_beside_that_may_be_of_the_same_trial_is_named(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where a camera's recording is replayed alone, and nothing says where its robot is."""
+    run = tmp_path / "run"
+    held = two_computers(run, messages)
+    camera, robot = (find_trials([run / f"{name}.mcap"])[0] for name in ("camera", "robot"))
+    said = "recorded at the same time"
+    assert any(said in note for note in open_trial(camera, Config()).notes)
+    with pytest.raises(UnreadableError, match="images found") as refused:
+        open_trial(robot, Config())
+    assert 'recording = ["robot.mcap", "camera.mcap"]' in str(refused.value)
+    # of two that may be, of the next trial's, and of a copy nothing is said
+    write(run / "another.mcap", [m for m in held["robot"] if "joint" in m[1]])
+    assert not any(said in note for note in open_trial(camera, Config()).notes)
+    (run / "another.mcap").unlink()
+    later = [[m[0] + 60 * 10**9, *m[1:]] for m in held["robot"]]
+    write(run / "robot.mcap", later)
+    assert not any(said in note for note in open_trial(camera, Config()).notes)
+    write(run / "robot.mcap", messages)
+    assert not any(said in note for note in open_trial(camera, Config()).notes)

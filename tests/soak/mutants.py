@@ -2714,6 +2714,42 @@ MUTANTS = [
         "closing = Closing(np.array(c.before), np.array(c.way), np.array(c.speeds))",
         "tests/verdict/test_estimates.py",
     ),
+    Mutant(
+        "dgeval/recording/containers/opening.py",
+        "if (there := held.get(name, 0)) is not None and there < count",
+        "if (there := held.get(name, 0)) is not None and there > count",
+        "tests/recording/test_lost_parts.py",
+    ),
+    Mutant(
+        "dgeval/recording/containers/opening.py",
+        "lost_to_ns=None if stop is None or start is None else stop[0],",
+        "lost_to_ns=None,",
+        "tests/recording/test_lost_parts.py",
+    ),
+    Mutant(
+        "dgeval/recording/containers/opening.py",
+        "start = ends[before - 1] if before else None",
+        "start = ends[before] if before < len(ends) else None",
+        "tests/recording/test_lost_parts.py",
+    ),
+    Mutant(
+        "dgeval/recording/splits.py",
+        "if other is None or theirs is None or own.topics.keys() & other.topics.keys():",
+        "if other is None or theirs is None:",
+        "tests/recording/test_lost_parts.py",
+    ),
+    Mutant(
+        "dgeval/recording/splits.py",
+        "return found[0] if len(found) == 1 else None",
+        "return found[0] if found else None",
+        "tests/recording/test_lost_parts.py",
+    ),
+    Mutant(
+        "dgeval/recording/splits.py",
+        "if shared > MOSTLY * min(",
+        "if shared < MOSTLY * min(",
+        "tests/recording/test_lost_parts.py",
+    ),
 ]
 
 
