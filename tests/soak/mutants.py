@@ -2272,8 +2272,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/robots/loading.py",
-        'hint if "xacro:" in text else None',
-        "None",
+        "hint = next((mend for mark, mend in NO_URDF.items() if mark in text), None)",
+        "hint = None",
         "tests/recording/test_eighth_strangers.py::test_a_xacro_is_named_as_one",
     ),
     Mutant(
