@@ -245,14 +245,23 @@ def _of_recording(
     return out
 
 
+def _files_of(folder: Path, names: list[str]) -> tuple[Path, ...]:
+    """The files of several recordings of a folder; those of a ROS 2 folder by what it holds."""
+    given = [folder / name for name in names]
+    held = [stored_files(p) if p.is_dir() else [p] for p in given]
+    return tuple(file for files in held for file in files)
+
+
 def _from_manifest(path: Path) -> list[TrialSpec]:
     values = read_toml(path)
     manifest = validated(_Manifest, values, "manifest", path)
     out = []
     for entry in manifest.trial:
         names = [entry.recording] if isinstance(entry.recording, str) else entry.recording
-        files = tuple(path.parent / name for name in names)
-        recording, parts = files[0], files if len(files) > 1 else ()
+        recording, parts = path.parent / names[0], tuple[Path, ...]()
+        if len(names) > 1:
+            parts = _files_of(path.parent, names)
+            recording = parts[0]
         name = entry.id or str(Path(names[0]).with_suffix(""))
         given = entry.model_dump(exclude={"recording", "id"})
         if entry.start_ns is None and entry.frames is None:

@@ -21,7 +21,7 @@ NUMBERED = re.compile(
 GAP_NS = 500_000_000
 
 MOSTLY = 0.5  # share of the shorter one's time, over which both were recorded; ours
-MOST_BESIDE = 50  # files of a folder that are looked at
+MOST_BESIDE = 20  # files of a folder that are looked at
 
 Numbered = dict[tuple[Path, str, str], dict[int, Path]]  # by folder, name and suffix; by number
 
@@ -63,16 +63,17 @@ def of_another_computer(path: Path) -> Path | None:
     except UnreadableError:
         return None
     span = own.container.span_ns
-    if span is None or not path.is_file():
+    if span is None:
         return None
+    alike = [p for p in sorted(path.parent.iterdir()) if p.suffix == path.suffix and p != path]
     found = []
-    for file in sorted(path.parent.glob(f"*{path.suffix}"))[:MOST_BESIDE]:
+    for file in [p for p in alike if p.is_file() == path.is_file()][:MOST_BESIDE]:
         try:
-            other = None if file == path else open_container(file)
+            other = open_container(file)
         except UnreadableError:
             continue
-        theirs = None if other is None else other.container.span_ns
-        if other is None or theirs is None or own.topics.keys() & other.topics.keys():
+        theirs = other.container.span_ns
+        if theirs is None or own.topics.keys() & other.topics.keys():
             continue
         shared = min(span[1], theirs[1]) - max(span[0], theirs[0])
         if shared > MOSTLY * min(span[1] - span[0], theirs[1] - theirs[0]):

@@ -17,6 +17,7 @@ from dgeval.robots.described_hand import DescribedHand
 from dgeval.robots.description import Joint
 from dgeval.robots.hand import Hand
 from dgeval.verdict.beliefs import Beliefs, beliefs_of
+from dgeval.verdict.described_grip import described_grip
 from dgeval.verdict.log import Recorded, TrialLog
 from dgeval.verdict.recorded_closing import (
     LONGEST_S,
@@ -30,6 +31,7 @@ from dgeval.verdict.recorded_lift import LOOK_S, recorded_lift
 from dgeval.worlds.closing import CONTROL_S, Finish
 
 PERIOD_NS = round(CONTROL_S * 1e9)
+AT_END_NS = 500_000_000  # over which efforts at the end are judged, as for the outcome
 APPROACH_S = 12.0  # before the close, as much of the approach as is looked at
 MIN_REGISTERED = 5  # frames; its shape and path are guesses with fewer
 HELD_ABOVE_M = 0.03  # of the lowest point over the support: what is higher does not stand on it
@@ -183,7 +185,8 @@ def scene_of(log: TrialLog, hindsight: Hindsight) -> Scene | Unknown:
     if isinstance(gripper, DescribedHand):
         near = transform(invert(poses[-1]), points)
         before = np.array(fingers[-1], dtype=float)
-        closed = recorded_closing(gripper, before, way, near, _empty(log, drives, finish))
+        empty = _empty(log, gripper, drives, finish)
+        closed = recorded_closing(gripper, before, way, near, empty)
         if closed is not None:
             gripper = closing_as(gripper, closed, "recorded")
         elif log.elsewhere.closing is not None:
@@ -236,9 +239,12 @@ def _finish(log: TrialLog, base: str, root: str, T_support_base: Array) -> Finis
     return recorded_lift(np.array(poses)) if poses else None
 
 
-def _empty(log: TrialLog, drives: list[Joint], finish: Finish | None) -> Array | None:
+def _empty(
+    log: TrialLog, hand: DescribedHand, drives: list[Joint], finish: Finish | None
+) -> Array | None:
     """Where the joints of a hand (k,) rest after the lift of a grasp that failed: empty, as what is
-    between fingers is lifted. None where the log does not hold that.
+    between fingers is lifted. None where the log does not hold that, or its fingers press on
+    something, whatever an operator says.
     """
     if finish is None or log.close_ns is None:
         return None
@@ -246,6 +252,11 @@ def _empty(log: TrialLog, drives: list[Joint], finish: Finish | None) -> Array |
     end_ns = min([log.last_ns, *([] if log.released_ns is None else [log.released_ns])])
     times = range(end_ns - REST_TICKS * PERIOD_NS, end_ns, PERIOD_NS)
     if times.start < lifted_ns:
+        return None
+    samples = list(log.hand_samples)
+    end = [s for s in samples if end_ns - AT_END_NS <= s.t_ns <= end_ns]
+    grip = described_grip(hand, samples, log.close_ns, end, log.elsewhere.empty)
+    if grip is not None and grip[0]:
         return None
     joints = log.robot.joints
     rows = [[joints.position(j, t, log.max_gap_ns) for j in drives] for t in times]

@@ -114,6 +114,27 @@ def test_the_recordings_of_two_computers_are_one_by_a_manifest(
         find_trials([manifest])
 
 
+def test_the_folders_of_two_computers_are_one_by_a_manifest(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    """Fails where only files can be put together: `ros2 bag record` writes folders."""
+    whole = contents(opened(write(tmp_path / "whole.mcap", messages)))
+    held = two_computers(tmp_path / "run", messages)
+    folders = tmp_path / "day"
+    for name, own in held.items():
+        (folders / name).mkdir(parents=True)
+        files = [write(folders / name / f"{name}_0.mcap", own)]
+        listed(folders / name, files, own)
+    (camera,) = find_trials([folders / "camera"])
+    note = next(n for n in open_trial(camera, Config()).notes if "at the same time" in n)
+    assert 'recording = ["camera", "robot"]' in note
+    manifest = folders / "m.toml"
+    manifest.write_text('[[trial]]\nid = "both"\nrecording = ["camera", "robot"]\n')
+    (spec,) = find_trials([manifest])
+    assert (spec.id, len(spec.parts)) == ("both", 2)
+    assert contents(open_trial(spec, Config())) == whole
+
+
 def test_a_recording_beside_that_may_be_of_the_same_trial_is_named(
     tmp_path: Path, messages: list[Message]
 ) -> None:

@@ -2734,8 +2734,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/splits.py",
-        "if other is None or theirs is None or own.topics.keys() & other.topics.keys():",
-        "if other is None or theirs is None:",
+        "if theirs is None or own.topics.keys() & other.topics.keys():",
+        "if theirs is None:",
         "tests/recording/test_lost_parts.py",
     ),
     Mutant(

@@ -626,18 +626,25 @@ def test_the_jaw_is_known_too() -> None:
     [(3.0, None, True), (1.2, None, False), (3.0, 2.8, True), (3.0, 1.15, False)],
 )
 def test_a_hand_rests_empty_after_its_lift(
-    last: float, released: float | None, known: bool
+    monkeypatch: pytest.MonkeyPatch, last: float, released: float | None, known: bool
 ) -> None:
-    """Fails where a hand that has not lifted yet, or that has opened again, rests empty."""
+    """Fails where a hand that has not lifted yet, or that has opened again, rests empty; or one
+    whose fingers press, though an operator calls the trial a failure.
+    """
+    grip = "dgeval.verdict.evidence.described_grip"
+    monkeypatch.setattr(grip, lambda *_: None)
     log = log_of(trial_of(last=last, joints=joint_samples(every(0.02, -2.0, 3.0))))
     log = replace(log, released_ns=None if released is None else ns(released))
     drives = [j for j in log.robot.description.joints.values() if j.name in FIVE_FINGERS.drives]
     finish = Finish(np.zeros((115, 6)))  # it has lifted at 1.15 s
-    found = _empty(log, drives, finish)
+    hand: Any = None
+    found = _empty(log, hand, drives, finish)
     assert (found is not None) == known
     if found is not None:
         end_ns = log.last_ns if released is None else ns(released)
         middle = end_ns - 55_000_000
         wanted = [log.robot.joints.position(j, middle, log.max_gap_ns) for j in drives]
         np.testing.assert_allclose(found, np.array(wanted, dtype=float), atol=1e-3)
-    assert _empty(log, drives, None) is None
+    assert _empty(log, hand, drives, None) is None
+    monkeypatch.setattr(grip, lambda *_: (True, "2 fingers press"))
+    assert _empty(log, hand, drives, finish) is None

@@ -131,7 +131,7 @@ def _fewer_than_listed(joined: Container, text: str) -> str:
             one["topic_metadata"]["name"]: int(one["message_count"])
             for one in listed["topics_with_message_count"]
         }
-    except (YAMLError, KeyError, TypeError, ValueError):
+    except (YAMLError, KeyError, TypeError, ValueError, RecursionError):
         return ""  # no metadata.yaml, or another program's
     held = {name: topic.count for name, topic in joined.topics.items()}
     fewer = [
