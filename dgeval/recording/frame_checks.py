@@ -40,7 +40,9 @@ MUST_TELL_S = 0.04  # s, from which on a delay fails the check; less is a note; 
 MUST_TELL_M = 0.012  # m, by which the hand is seen off, and fails; less is a note; ours
 HARDLY_A_MOUNT_M = 0.03  # m; farther off is seldom an error of calibration alone; ours
 NAMED_M = 0.002  # m; less along one axis is not named
-HAND_UNTESTED = "where the camera is to the hand (no depth shows enough of the hand)"
+HAND_UNTESTED = (
+    "where the camera is to the hand, and how its fingers stand (no depth shows enough of the hand)"
+)
 CAMERA_UNTESTED = (
     "which way the camera looks, its clock and intrinsics, depth's scale (the camera hardly moves, "
     "or past hardly any texture)"
