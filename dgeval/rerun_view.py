@@ -245,12 +245,14 @@ class ReviewWriter:
 
         Returns the bytes of the file and of the colour images in it.
         """
-        decisive = judgement.decisive_ns or self._first_lost_ns
+        known = decisive = judgement.decisive_ns or self._first_lost_ns
         evidence = judgement.row.evidence
-        if hindsight is not None:
-            self._log_hindsight(hindsight, judgement.link, decisive)
         if decisive is None and self._moments:
             decisive = self._moments[-1].t_ns
+        if hindsight is not None:
+            self._log_hindsight(hindsight, decisive)
+            if known is not None:
+                self._log_nearest(hindsight, judgement.link, known)
         if decisive is not None:
             self._at(decisive)
             self._rec.log(
@@ -270,12 +272,10 @@ class ReviewWriter:
         self._path.replace(path)
         return {"bytes": path.stat().st_size, "image_bytes": self._image_bytes}
 
-    def _log_hindsight(
-        self, hindsight: Hindsight, link: str | None, decisive_ns: int | None
-    ) -> None:
-        """Log the undisturbed path and the observations of the object.
+    def _log_hindsight(self, hindsight: Hindsight, ends_ns: int | None) -> None:
+        """Log the undisturbed path, the observations of the object, and its distance from the hand.
 
-        At the decisive moment also the nearest link and its distance from the object.
+        ends_ns: where the timeline DECISIVE ends, which shows that distance too.
         """
         rec = self._rec
         times = [m.t_ns for m in self._moments] or [s.t_ns for s in hindsight.sightings]
@@ -298,12 +298,14 @@ class ReviewWriter:
                 continue
             rec.reset_time()
             self._at(m.t_ns)
-            if decisive_ns is not None and decisive_ns - BEFORE_S * 1e9 <= m.t_ns <= decisive_ns:
+            if ends_ns is not None and ends_ns - BEFORE_S * 1e9 <= m.t_ns <= ends_ns:
                 rec.set_time(DECISIVE, duration=(m.t_ns - self._start_ns) * 1e-9)
             rec.log("plots/distance", rr.Scalars(1000 * m.distance))
         rec.reset_time()
-        if decisive_ns is None:
-            return
+
+    def _log_nearest(self, hindsight: Hindsight, link: str | None, decisive_ns: int) -> None:
+        """Log the object at the decisive moment, the nearest link and its distance from it."""
+        rec = self._rec
         step = max(1, len(hindsight.points) // self._config.cloud_points)
         points = transform(hindsight.path.at(decisive_ns), hindsight.points[::step])
         rec.log(
