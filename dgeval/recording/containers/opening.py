@@ -8,7 +8,6 @@ import shutil
 import tempfile
 import weakref
 import zlib
-from dataclasses import replace
 from pathlib import Path
 
 import zstandard
@@ -159,7 +158,7 @@ def _joined(path: Path, files: list[Path]) -> Container:
     from dgeval.recording.containers.parts import PartsContainer
 
     opened: list[Container] = []
-    lost: list[tuple[int, Damage]] = []  # each with how many parts before it could be read
+    lost: list[tuple[int, Path, str]] = []  # how many parts before it could be read, and why not it
     for file in files:
         try:
             opened.append(_file(file))
@@ -168,17 +167,18 @@ def _joined(path: Path, files: list[Path]) -> Container:
                 raise
             # one that its recorder had just begun when it was killed, or that was copied in part
             what = f"{file.name} can't be read ({error.what}): what it holds is missing"
-            lost.append((len(opened), Damage(what, Place(str(file)))))
-    for before, damage in lost:
-        ends = [part.span_ns for part in opened]
+            lost.append((len(opened), file, what))
+    ends = [part.span_ns for part in opened]
+    for before, file, what in lost:
         start = ends[before - 1] if before else None
         stop = ends[before] if before < len(ends) else None
-        whole = replace(
-            damage,
+        damage = Damage(
+            what,
+            Place(str(file)),
             lost_from_ns=None if start is None else start[1],
             lost_to_ns=None if stop is None or start is None else stop[0],
         )
-        opened[max(0, before - 1)].damage.append(whole)
+        opened[max(0, before - 1)].damage.append(damage)
     return opened[0] if len(files) == 1 else PartsContainer(path, opened)
 
 
