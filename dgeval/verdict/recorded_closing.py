@@ -130,8 +130,10 @@ def closing_as(
     """The hand with that closing motion, of this trial (`recorded`) or of another one."""
     lower, upper = hand.geometry.limits
     if closing.until is not None:
-        upper = np.where(closing.until > closing.before, np.minimum(upper, closing.until), upper)
-        lower = np.where(closing.until < closing.before, np.maximum(lower, closing.until), lower)
+        closes = np.abs(closing.until - closing.before) > LEAST_MOVED * hand.geometry.spans
+        until = np.where(closes, closing.until, np.nan)  # what does not close is where it was put
+        upper = np.where(until > closing.before, np.minimum(upper, until), upper)
+        lower = np.where(until < closing.before, np.maximum(lower, until), lower)
     # the fingers before this trial's own close are its own
     opened = closing.before if source == "recorded" else hand.geometry.open
     geometry = replace(hand.geometry, open=opened)

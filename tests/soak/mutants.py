@@ -2704,7 +2704,7 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/verdict/recorded_closing.py",
-        "lower = np.where(closing.until < closing.before, np.maximum(lower, closing.until), lower)",
+        "lower = np.where(until < closing.before, np.maximum(lower, until), lower)",
         "pass",
         "tests/verdict/test_described_grip.py",
     ),

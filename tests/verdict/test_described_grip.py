@@ -218,6 +218,20 @@ def test_jaws_close_to_where_they_rest_empty() -> None:
     assert hand.close_s == pytest.approx((OPEN - 0.015) / SPEED, abs=0.03)
 
 
+def test_a_joint_that_does_not_close_stays_where_a_grasp_puts_it() -> None:
+    """Fails where a finger that was spread otherwise in the trial that shows the close goes there:
+    the noise of its encoder says to which side it is bound.
+    """
+    way = path(0.005)
+    way[:, 1] = OPEN
+    closing = recorded_closing(
+        gripper(), np.full(2, OPEN), way, BETWEEN, np.array([0.005, OPEN - 1e-5])
+    )
+    assert closing is not None
+    hand = closing_as(gripper(), closing, "estimates")
+    assert hand.targets(10.0, np.array([OPEN, 0.02])) == pytest.approx([0.005, 0.02], abs=1e-4)
+
+
 def test_jaws_that_have_opened_again_do_not_rest_empty() -> None:
     """Fails where a hand that waits for its next try is said to close to where it stands then."""
     opened = np.full(2, OPEN)
