@@ -12,6 +12,7 @@ from typing import Any, Literal
 from dgeval.determinism import ColumnDigest
 
 SCHEMA_VERSION = 1
+NOTES_APART = " | "  # between two notes of a trial; a note may hold "; "
 Kind = Literal["int", "float", "bool", "str"]
 
 
@@ -256,7 +257,8 @@ TRIALS: tuple[Column, ...] = (
            "trial"),
     Column("evidence", "str", "", "what a person can check, with times", "trial"),
     Column("notes", "str", "",
-           "every stand-in that ran in place of the papers' method, and assumptions", "trial"),
+           "on the recording, the target and the verdict, then every stand-in that ran in place of "
+           "the papers' method; \" | \" stands between two", "trial"),
     *(Column(f"digest_{stage}", "str", "",
              f"SHA-256 over the frame columns of stage {stage}", "trial") for stage in STAGES),
 )  # fmt: skip
@@ -323,6 +325,11 @@ class StageDigests:
 
     def hexdigests(self) -> dict[str, str]:
         return {stage: digest.hexdigest() for stage, digest in self._stages.items()}
+
+
+def notes_of(row: Mapping[str, Any]) -> list[str]:
+    """The notes of a trial's row, one string each."""
+    return row["notes"].split(NOTES_APART) if row["notes"] else []
 
 
 def arrow_schema(columns: Sequence[Column]) -> Any:

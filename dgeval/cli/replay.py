@@ -11,6 +11,7 @@ import typer
 
 from dgeval.cli.boundary import command, given_path, print_json
 
+MOST_WITH_NOTES = 6  # trials, of more the notes are not printed but stand in the tables; ours
 EXAMPLES = """\b
 Examples:
   dgeval replay apple.mcap --bbox 430,342,524,432
@@ -223,6 +224,8 @@ def _check_determinism(specs: Any, config: Any, jobs: int, results: Any, estimat
 
 
 def _print_summary(out: Path, results: Any, review: bool) -> None:
+    from dgeval.schema import notes_of
+
     for r in results:
         if r.row is None:
             typer.echo(f"{r.id}: not replayed")
@@ -232,14 +235,17 @@ def _print_summary(out: Path, results: Any, review: bool) -> None:
         parts = f"{row['n_frames']} frames, {row['n_lost']} lost, {row['n_predicted']} predicted"
         typer.echo(f"{r.id}: {row['outcome']}, {parts}{kept}")
         typer.echo(f"  {row['evidence']}")
-        if row["notes"]:
-            typer.echo(f"  notes: {row['notes']}")
+        for note in notes_of(row) if len(results) <= MOST_WITH_NOTES else ():
+            if note not in r.messages:  # said on standard error
+                typer.echo(f"  note: {note}")
         if r.review:
             size = (
                 f"{r.review['bytes'] / 1e6:.1f} MB, the colour images alone "
                 f"{r.review['image_bytes'] / 1e6:.1f} MB"
             )
             typer.echo(f"  review: {size}")
+    if len(results) > MOST_WITH_NOTES:
+        typer.echo(f"notes of each: dgeval show {out} TRIAL")
     typer.echo(f"tables: {out}")
     if review and any(r.row for r in results):
         typer.echo(

@@ -66,8 +66,8 @@ def self_filter_of(trial: Trial, counts: FrameCounts) -> str:
     return "mask" if trial.static_mask is not None else "none"
 
 
-def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
-    """All notes on a trial's replay, those of its recording first; counts: after the last frame."""
+def recording_notes(trial: Trial, counts: FrameCounts) -> list[str]:
+    """What the recording lacks, and what was read in its place; counts: after the last frame."""
     notes = list(trial.notes)
     if counts.no_depth:
         notes.append(
@@ -90,6 +90,14 @@ def trial_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
             f"the hand's shape is not known in {counts.no_hand} of {counts.frames} frames, for "
             "want of joint states or poses: there it was not taken out of the images"
         )
+    return notes
+
+
+def pipeline_notes(trial: Trial, config: Config, counts: FrameCounts) -> list[str]:
+    """What ran in place of the papers' parts, and with which parameters; counts: after the last
+    frame.
+    """
+    notes = []
     if config.pipeline == "dynamic" and trial.spec.scenario == "handover":
         notes.append("pipeline dynamic, as configured, though the manifest says handover")
     if config.pipeline == "handover" and trial.spec.scenario == "handover":

@@ -14,7 +14,7 @@ from dgeval.report.figures import trial_figure
 from dgeval.report.summary import LABELS
 from dgeval.runs.files import file_name
 from dgeval.runs.results import Run
-from dgeval.schema import TRIALS
+from dgeval.schema import TRIALS, notes_of
 
 
 def only_trial(run: Run) -> str:
@@ -75,8 +75,7 @@ def lines_of(run: Run, trial: str) -> list[str]:
         if row[column] is not None:
             at_s = (row[column] - start_ns) * 1e-9
             out.append(f"{name}: {at_s:+.2f} s ({int(row[column]) * 1e-9:.3f})")
-    if row["notes"]:
-        out.append(f"notes: {row['notes']}")
+    out += [f"note: {note}" for note in notes_of(row)]
     review = Path("review") / f"{file_name(trial)}.rrd"
     if (run.folder / review).is_file():
         out.append(f"see it: dgeval view {run.folder} {trial}")

@@ -67,8 +67,8 @@ def target_note(trial: Trial, target: FoundTarget | None) -> list[str]:
         for topic in trial.roles.target
         if (what := unusable(trial.scan, topic, trial.reader.camera))
     ]
-    note = f"target: no box is given; taken is {how} ({picture}); another: --bbox x0,y0,x1,y1"
-    return [*other, note]
+    note = f"target: no box is given; taken is {how}, drawn by replay in {picture}; another: "
+    return [*other, f"{note}--bbox x0,y0,x1,y1"]
 
 
 def write_target(path: Path, step: Step) -> None:

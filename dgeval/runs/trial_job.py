@@ -31,7 +31,7 @@ from dgeval.recording.manifest import TrialSpec
 from dgeval.recording.trials import Trial, open_trial
 from dgeval.replay.causal import Step, closing_threshold, replay
 from dgeval.replay.fidelity import Compared, Fidelity, fidelity_notes, spread_of
-from dgeval.replay.notes import FrameCounts, self_filter_of, trial_notes
+from dgeval.replay.notes import FrameCounts, pipeline_notes, recording_notes, self_filter_of
 from dgeval.replay.row import pose_columns
 from dgeval.replay.target_search import FoundTarget, search_target
 from dgeval.runs.estimates import shown_as_json
@@ -49,6 +49,7 @@ from dgeval.schema import (
     FRAMES,
     FRAMES_ADDED,
     HINDSIGHT,
+    NOTES_APART,
     SCHEMA_VERSION,
     TIMINGS,
     StageDigests,
@@ -343,15 +344,16 @@ def trial_row(
         "t_decisive_ns": judgement.decisive_ns,
         "contact_link": judgement.link,
         "estimates": None if estimates is None else estimates.sha256,
-        "notes": "; ".join(
+        "notes": NOTES_APART.join(
             [
-                *trial_notes(trial, config, counts),
-                *perceived,
-                *fidelity_notes(fidelity),
-                *target_note(trial, target),
                 *map(str, of_target),
+                *recording_notes(trial, counts),
+                *target_note(trial, target),
                 *_other_word(spec.cause, judgement),
                 *judgement.notes,
+                *perceived,
+                *fidelity_notes(fidelity),
+                *pipeline_notes(trial, config, counts),
             ]
         ),
         **{f"fidelity_{one.stage}": one.word for one in fidelity},

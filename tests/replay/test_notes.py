@@ -12,7 +12,13 @@ from dgeval.networks.transt import TransT, TransTM
 from dgeval.perception.pipeline import Perceived
 from dgeval.perception.trackers import transt
 from dgeval.perception.types import Fused, Observation, Tracked
-from dgeval.replay.notes import FrameCounts, self_filter_of, tracker_note, trial_notes
+from dgeval.replay.notes import (
+    FrameCounts,
+    pipeline_notes,
+    recording_notes,
+    self_filter_of,
+    tracker_note,
+)
 from dgeval.runs.target_told import FirstSeen, target_checks
 from tests.replay.test_row import step_of
 from tests.verdict.synthetic_trial import trial_of
@@ -44,12 +50,14 @@ def test_notes_name_stand_ins_and_what_was_left_out() -> None:
     trial = replace(trial, window=window, notes=("of the recording",))
     trial.reader.lost.times.add(1)
     config = load_config("dynamic", ("tracking.method=csrt", "grasps.source=recorded"))
-    assert trial_notes(trial, config, FrameCounts(frames=9, no_depth=4)) == [
+    assert recording_notes(trial, FrameCounts(frames=9, no_depth=4)) == [
         "of the recording",
         "no usable depth on the target in 4 of 9 frames: followed in colour",
         "unmatched images: 2 colour, 3 depth",
         "1 frames could not be decoded",
         "self_filter: none, no robot description",
+    ]
+    assert pipeline_notes(trial, config, FrameCounts(frames=9, no_depth=4)) == [
         "stand-in: CSRT in place of TransT-M",
         COLOUR,
         "stand-in: the recorded grasp in place of FFHNet; hand_score as recorded",
@@ -81,7 +89,7 @@ def test_a_handover_that_is_replayed_as_something_else_is_told() -> None:
     told = "pipeline dynamic, as configured, though the manifest says handover"
     for pipeline, is_told in (("dynamic", True), ("handover", False)):
         config = load_config(pipeline, ("grasps.source=none",))
-        assert (told in trial_notes(trial, config, FrameCounts(frames=9))) == is_told
+        assert (told in pipeline_notes(trial, config, FrameCounts(frames=9))) == is_told
 
 
 def test_a_complete_trial_has_only_the_notes_of_its_parts() -> None:
@@ -90,18 +98,18 @@ def test_a_complete_trial_has_only_the_notes_of_its_parts() -> None:
     trial = trial_of()
     assert self_filter_of(trial, FrameCounts(frames=9)) == "geometry"
     expected = ["stand-in: model tracker in place of TransT-M", COLOUR]
-    assert trial_notes(trial, config, FrameCounts(frames=9)) == expected
+    assert recording_notes(trial, FrameCounts(frames=9)) == []
+    assert pipeline_notes(trial, config, FrameCounts(frames=9)) == expected
 
 
 def test_a_hand_whose_joints_are_missing_is_told() -> None:
     """Catches a self-filter said to work in frames in which the fingers were not known."""
-    config = load_config("dynamic", ("grasps.source=none",))
-    some = trial_notes(trial_of(), config, FrameCounts(frames=9, no_hand=4))
+    some = recording_notes(trial_of(), FrameCounts(frames=9, no_hand=4))
     assert any("not known in 4 of 9 frames" in note for note in some)
     every = FrameCounts(frames=9, no_hand=9)
     assert self_filter_of(trial_of(), every) == "none"
-    assert "self_filter: none, the hand's joint states are not recorded" in trial_notes(
-        trial_of(), config, every
+    assert "self_filter: none, the hand's joint states are not recorded" in recording_notes(
+        trial_of(), every
     )
 
 
@@ -160,7 +168,7 @@ def test_holes_are_told_where_nothing_was_measured() -> None:
 def test_ffhnet_is_named_with_its_weights() -> None:
     """Catches the shipped weights taken for the published ones, and a departure left out."""
     config = load_config("dynamic", ("grasps.source=ffhnet",))
-    notes = trial_notes(trial_of(), config, FrameCounts())
+    notes = pipeline_notes(trial_of(), config, FrameCounts())
     assert notes[1:-1] == [
         f"{COLOUR}, grasps.max_overlap = 0.004 (ours)",
         "no grasp was refused for the arm's reach, which is not known: its joint 'arm_1' is not "
@@ -168,9 +176,9 @@ def test_ffhnet_is_named_with_its_weights() -> None:
     ]
     own = "grasps by FFHNet with dgeval's own weights, closing above a score of"
     assert notes[-1] == f"{own} 0.4, the threshold of these weights"
-    few = trial_notes(trial_of(), config, FrameCounts(frames=9, no_grasp=4))
+    few = pipeline_notes(trial_of(), config, FrameCounts(frames=9, no_grasp=4))
     assert "in 4 of 9 frames" in few[-1]
     assert "the first 32" in few[-1]
     mixed = load_config("dynamic", ("grasps.source=ffhnet", "execution.c_e=0.7"))
-    notes = trial_notes(trial_of(), mixed, FrameCounts())
+    notes = pipeline_notes(trial_of(), mixed, FrameCounts())
     assert notes[-1] == f"{own} 0.7, though these weights' own is 0.4"

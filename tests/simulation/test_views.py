@@ -74,7 +74,7 @@ def test_names_with_bars_keep_their_columns_and_copies_are_told(
     shutil.copytree(demo_run, run)
     rows = pd.read_parquet(run / "trials.parquet")
     rows["object"] = "box|red"
-    rows["notes"] = f"a; this file is the same bytes as b.mcap: {COUNTS_TWICE}; c"
+    rows["notes"] = f"a | this file is the same bytes as b.mcap: {COUNTS_TWICE} | c"
     rows.to_parquet(run / "trials.parquet")
     assert dgeval("report", run, "--out", tmp_path).returncode == 0
     page = (tmp_path / "report.md").read_text(encoding="utf-8")
