@@ -23,6 +23,10 @@ STEP_NS = 10_000_000  # ns, between the times at which the hand is looked at
 LEAST_SEEN = 10  # times at which the fingers are known, to be seen; ours
 STILL_NS = 100_000_000  # ns; a closing motion may pause for so long
 RESTING_NS = 250_000_000  # ns; fingers that met the object may go on within so long; ours
+# ns; for so long their tips may draw apart between, as those of fingers do that curl past each
+# other, if they never rest: ns over which that is seen, share of their speed before; ours
+CURLING_NS, SEEN_NS, GOES_ON = 600_000_000, 50_000_000, 0.2
+SAME_LIFT_NS = 50_000_000  # ns, between two sights of one lift at most; ours
 # ns; fingers that begin to move less than this before the palm rises, or while it does, slip or
 # press on as the object is lifted: that is no close
 BEFORE_LIFT_NS = 120_000_000
@@ -35,6 +39,9 @@ SETTLED_S, REOPENED, BEGINS = (1.0, 1.5), 0.6, 0.1
 RISING_M = 0.005  # m, from which on it is rising
 OVER_NOISE = 3.0  # standard deviations, by which a motion of the fingers stands out; ours
 MOST_HALF = 25  # samples on each side, over which fingers are smoothed at most; ours
+# of a closing motion's largest speed, below which fingers only give way; of its way, that this
+# makes at most: fingers that stop on the way and go on make more; ours
+CREEPS, CREPT = 0.1, 0.2
 MOST_GAP_NS = 500_000_000  # ns between states, in which a close can't be placed; ours
 EDGE_NS = 50_000_000  # ns, beside a hole's edge, where a motion in it seems to begin; ours
 SEEN = 0.9  # share of the trial in which the fingers must be known, to say that they never closed
@@ -73,7 +80,8 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
             "(joint states of the hand and a robot description are needed)",
             False,
         )
-    times, width = _width(robot, tips, first_ns, last_ns)
+    times, places = _places(robot, tips, first_ns, last_ns)
+    width = _width(places)
     if len(times) < 20:
         return NoClose(", and the fingers' joint states are not recorded", False)
     seen = len(times) * STEP_NS >= SEEN * (last_ns - first_ns)
@@ -90,13 +98,17 @@ def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred 
     attempts: list[tuple[int, int, int]] = []  # close, rest and lift, the last first
     for k in reversed(range(len(motions))):
         start, end = motions[k]
-        while k and start - motions[k - 1][1] < RESTING_NS:
+        while k and (
+            start - motions[k - 1][1] < RESTING_NS
+            or (robot.palm_frame is not None and _goes_on(times, places, motions[k - 1], start))
+        ):
             k -= 1
             start = motions[k][0]
         lift = lift_after(robot, start, end, last_ns)
         # motions before one lift are one attempt, of which the last begins it
-        is_new = lift not in [at for *_, at in attempts]
-        if lift is not None and is_new and lift - start >= BEFORE_LIFT_NS:
+        if lift is None or lift - start < BEFORE_LIFT_NS:
+            continue
+        if all(abs(lift - at) > SAME_LIFT_NS for *_, at in attempts):
             attempts.append((start, end, lift))
     if attempts:
         start, rest, _ = attempts[0]
@@ -146,7 +158,7 @@ def opens_after(robot: RobotStates, t_ns: int, last_ns: int) -> bool:
     if len(tips) < 2:
         return False
     until = min(t_ns + round(WITHIN_S * 1e9), last_ns)
-    _, width = _width(robot, tips, t_ns, until)
+    width = _width(_places(robot, tips, t_ns, until)[1])
     if len(width) < 2 or width.min() < width[0] - LEAST_M / 2:
         return False
     return bool(width[-1] - width[0] > LEAST_M)
@@ -155,7 +167,7 @@ def opens_after(robot: RobotStates, t_ns: int, last_ns: int) -> bool:
 def fingers_seen(robot: RobotStates, first_ns: int, last_ns: int) -> bool:
     """Whether it is known between two times how far the fingers are apart."""
     tips = _finger_ends(robot)
-    return len(tips) >= 2 and len(_width(robot, tips, first_ns, last_ns)[1]) >= LEAST_SEEN
+    return len(tips) >= 2 and len(_places(robot, tips, first_ns, last_ns)[0]) >= LEAST_SEEN
 
 
 def release_after(robot: RobotStates, close_ns: int, last_ns: int) -> int | None:
@@ -165,7 +177,8 @@ def release_after(robot: RobotStates, close_ns: int, last_ns: int) -> int | None
     tips = _finger_ends(robot)
     if len(tips) < 2:
         return None
-    times, width = _width(robot, tips, close_ns, last_ns)
+    times, places = _places(robot, tips, close_ns, last_ns)
+    width = _width(places)
     since = (times - close_ns) * 1e-9
     settled = width[(since >= SETTLED_S[0]) & (since <= SETTLED_S[1])]
     if len(settled) < 10 or since[-1] < SETTLED_S[1]:
@@ -195,10 +208,12 @@ def _finger_ends(robot: RobotStates) -> tuple[str, ...]:
     return tuple(link for link in ends if moves(link))
 
 
-def _width(
+def _places(
     robot: RobotStates, tips: tuple[str, ...], first_ns: int, last_ns: int
 ) -> tuple[NDArray[np.int64], Array]:
-    """Mean distance between the ends of the fingers, m, over time; where all are known."""
+    """Times, ns, at which all ends of the fingers are known, and their middles (n, tips, 3), m,
+    palm frame; of a robot without one its base frame.
+    """
     assert robot.description is not None
     middle = {
         tip: np.append(
@@ -206,19 +221,39 @@ def _width(
         )
         for tip in tips
     }
-    times, widths = [], []
+    times, places = [], []
     root = robot.palm_frame or robot.base_frame or tips[0]
     for t_ns in range(first_ns, last_ns + 1, STEP_NS):
-        places = []
+        here = []
         for tip in tips:
             T = robot.tree.lookup(root, tip, t_ns)
             if T is None:
                 break
-            places.append((T @ middle[tip])[:3])
-        if len(places) == len(tips):
+            here.append((T @ middle[tip])[:3])
+        if len(here) == len(tips):
             times.append(t_ns)
-            widths.append(np.mean([np.linalg.norm(a - b) for a, b in combinations(places, 2)]))
-    return np.array(times, dtype=np.int64), np.array(widths)
+            places.append(here)
+    return np.array(times, dtype=np.int64), np.array(places).reshape(-1, len(tips), 3)
+
+
+def _width(places: Array) -> Array:
+    """Mean distance between the ends of the fingers, m, over time."""
+    pairs = combinations(range(places.shape[1]), 2)
+    apart = [np.linalg.norm(places[:, a] - places[:, b], axis=1) for a, b in pairs]
+    return np.asarray(np.mean(apart, axis=0))
+
+
+def _goes_on(
+    times: NDArray[np.int64], places: Array, before: tuple[int, int], start_ns: int
+) -> bool:
+    """Whether fingers keep moving from a motion, from and to ns, to the start of the next one."""
+    first, end = (int(np.searchsorted(times, t)) for t in before)
+    start = int(np.searchsorted(times, start_ns))
+    step = SEEN_NS // STEP_NS
+    if start_ns - before[1] > CURLING_NS or end - first < step or start - end < step:
+        return False
+    moved = np.linalg.norm(places[step:] - places[:-step], axis=2).mean(axis=1)
+    return bool(moved[end : start - step + 1].min() > GOES_ON * moved[first : end - step + 1].max())
 
 
 def _closing_motions(times: NDArray[np.int64], width: Array) -> list[tuple[int, int]]:
@@ -248,9 +283,23 @@ def _closing_motions(times: NDArray[np.int64], width: Array) -> list[tuple[int, 
             elif times[j] - times[end] > STILL_NS:
                 break
         if smooth[k] - smooth[end] >= max(MOVES_BY * span, LEAST_M / 2):
-            out.append((_start(times, width, k, end, noise), int(times[end])))
+            at = _after_creep(smooth, rate, k, end)
+            out.append((_start(times, width, at, end, noise), int(times[end])))
         k = end + 1
     return out
+
+
+def _after_creep(smooth: Array, rate: Array, k: int, end: int) -> int:
+    """Where a motion from k to end begins in earnest: fingers that lean on the ground or the object
+    give way slowly before they close, and it makes little of the way.
+    """
+    fastest = k + int(np.argmin(rate[k : end + 1]))
+    slow = np.flatnonzero(rate[k:fastest] > CREEPS * rate[fastest])
+    if not len(slow):
+        return k
+    at = k + int(slow[-1]) + 1
+    is_small = smooth[k] - smooth[at] < CREPT * (smooth[k] - smooth[end])
+    return at if is_small else k
 
 
 def _noise(width: Array) -> float:

@@ -21,20 +21,31 @@ S = 1_000_000_000
 LENGTH_S = 5.0
 
 
+def places(apart: np.ndarray, aside: np.ndarray | float = 0.0) -> np.ndarray:
+    """Ends (n, 2, 3) of two fingers at a distance of each other, both shifted aside by m."""
+    out = np.zeros((len(apart), 2, 3))
+    out[:, 1, 0] = apart
+    out[:, :, 1] = np.broadcast_to(aside, len(apart))[:, None]
+    return out
+
+
 def robot(
     monkeypatch: pytest.MonkeyPatch,
     width: list[Any],
     height: list[Any],
     states_s: list[float] | None = None,
+    aside: list[Any] | None = None,
 ) -> Any:
     """A robot whose fingers and palm follow (time s, m) points, linear between them.
 
-    states_s: when a finger's state is recorded.
+    states_s: when a finger's state is recorded. aside: likewise, m, in which both fingers move
+    without coming nearer to each other; of a robot whose palm is known.
     """
     times = np.arange(0, int(LENGTH_S * S) + 1, closing_motion.STEP_NS)
     apart = np.interp(times * 1e-9, *zip(*width, strict=True))
     monkeypatch.setattr(closing_motion, "_finger_ends", lambda _: ("a", "b"))
-    monkeypatch.setattr(closing_motion, "_width", lambda *_: (times, apart))
+    along = 0.0 if aside is None else np.interp(times * 1e-9, *zip(*aside, strict=True))
+    monkeypatch.setattr(closing_motion, "_places", lambda *_: (times, places(apart, along)))
 
     def T_base_palm(t_ns: int) -> np.ndarray:
         T = np.eye(4)
@@ -46,7 +57,11 @@ def robot(
         moving["a"] = "palm", SimpleNamespace(times=[round(t * S) for t in states_s])
     tree = SimpleNamespace(moving=moving, ancestors=lambda frame: [frame, "palm"])
     return SimpleNamespace(
-        T_base_palm=T_base_palm, description=None, tree=tree, hand_links=("a", "b")
+        T_base_palm=T_base_palm,
+        description=None,
+        tree=tree,
+        hand_links=("a", "b"),
+        palm_frame=None if aside is None else "palm",
     )
 
 
@@ -106,11 +121,49 @@ def test_fingers_that_nobody_saw_for_a_while_may_have_closed_then(
     made = robot(monkeypatch, [(0, OPEN), (5, OPEN)], [(0, LOW), (3, LOW), (3.8, HIGH)])
     times = np.concatenate([np.arange(0, 2.0, 0.01), np.arange(3.2, 5.0, 0.01)])
     apart = np.where(times < 2.5, SHUT, OPEN)  # several fingers: closed they may be farther apart
-    monkeypatch.setattr(closing_motion, "_width", lambda *_: ((times * S).astype(np.int64), apart))
+    seen = (times * S).astype(np.int64), places(apart)
+    monkeypatch.setattr(closing_motion, "_places", lambda *_: seen)
     told = closing_motion.closing_motion(made, 0, int(LENGTH_S * S))
     assert isinstance(told, NoClose)
     assert "between +1.99 and +3.20 s no states of the fingers are recorded" in told.why
     assert not told.fingers_seen
+
+
+@pytest.mark.parametrize(("creeps_to", "begins_s"), [(0.093, 2.0), (0.075, 1.0)])
+def test_fingers_that_give_way_before_they_close(
+    monkeypatch: pytest.MonkeyPatch, creeps_to: float, begins_s: float
+) -> None:
+    """Fails where fingers that lean on the ground have begun to close half a second too early, and
+    where a close in two parts begins with its second.
+    """
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (1, OPEN), (2, creeps_to), (2.2, SHUT), (5, SHUT)],
+        [(0, LOW), (3, LOW), (3.8, HIGH), (5, HIGH)],
+    )
+    assert near(found(made), begins_s, 3.0)
+
+
+@pytest.mark.parametrize(("rests", "begins_s"), [(False, 2.0), (True, 2.6)])
+def test_fingers_that_curl_past_each_other(
+    monkeypatch: pytest.MonkeyPatch, rests: bool, begins_s: float
+) -> None:
+    """Fails where fingers whose tips draw apart for a while, as they curl on, closed only then; and
+    where what fingers did before they rested is of the close.
+    """
+    aside = [(0, 0.0), (2, 0.0), (2.2, 0.03), (2.6, 0.03 if rests else 0.09), (5, 0.09)]
+    made = robot(
+        monkeypatch,
+        [(0, OPEN), (2, OPEN), (2.2, 0.07), (2.6, 0.08), (2.8, SHUT), (5, SHUT)]
+        if not rests
+        else [(0, OPEN), (2, OPEN), (2.2, 0.07), (2.6, 0.07), (2.8, SHUT), (5, SHUT)],
+        [(0, LOW), (3, LOW), (3.8, HIGH), (5, HIGH)],
+        aside=aside,
+    )
+    assert near(found(made), begins_s, 3.0)
+    told = closing_motion.closing_motion(made, 0, int(LENGTH_S * S))
+    assert isinstance(told, closing_motion.Inferred)
+    assert told.earlier_ns == ()
 
 
 def test_a_lift_right_behind_a_slow_close(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,7 +250,8 @@ def test_fingers_known_half_the_time_are_not_known(
     """Fails where fingers that nobody saw in the other half are said never to have closed."""
     made = robot(monkeypatch, [(0, OPEN), (5, OPEN)], [(0, LOW), (5, LOW)])
     times = np.arange(0, int(LENGTH_S * S * share) + 1, closing_motion.STEP_NS)
-    monkeypatch.setattr(closing_motion, "_width", lambda *_: (times, np.full(len(times), OPEN)))
+    seen = times, places(np.full(len(times), OPEN))
+    monkeypatch.setattr(closing_motion, "_places", lambda *_: seen)
     known = close_of(Events((Event(4 * S, "trial_end", {}),)), made, 0, 5 * S)
     assert (known.missing is None) == (share == 1.0)
 
@@ -279,9 +333,10 @@ def test_a_hand_that_opens_again(
 ) -> None:
     """Fails where what was put down on purpose was never held."""
     made = robot(monkeypatch, [(0, OPEN), (2, OPEN), (2.5, SHUT), (3, SHUT), *ends], [(0, LOW)] * 2)
-    times, width = closing_motion._width(made, ("a", "b"), 0, int(LENGTH_S * S))
+    times, ends_of = closing_motion._places(made, ("a", "b"), 0, int(LENGTH_S * S))
     after = times >= 2 * S
-    monkeypatch.setattr(closing_motion, "_width", lambda *_: (times[after], width[after]))
+    seen = times[after], ends_of[after]
+    monkeypatch.setattr(closing_motion, "_places", lambda *_: seen)
     found_ns = closing_motion.release_after(made, 2 * S, int(LENGTH_S * S))
     if released_s is None:
         assert found_ns is None
