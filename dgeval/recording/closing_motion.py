@@ -20,6 +20,7 @@ from dgeval.recording.robot import RobotStates
 
 LEAST_M = 0.004  # m, least range of a hand that is said to close at all; ours
 STEP_NS = 10_000_000  # ns, between the times at which the hand is looked at
+PARTS = 0.5  # of the largest change of a distance between two fingertips; ours
 LEAST_SEEN = 10  # times at which the fingers are known, to be seen; ours
 STILL_NS = 100_000_000  # ns; a closing motion may pause for so long
 RESTING_NS = 250_000_000  # ns; fingers that met the object may go on within so long; ours
@@ -41,7 +42,7 @@ OVER_NOISE = 3.0  # standard deviations, by which a motion of the fingers stands
 MOST_HALF = 25  # samples on each side, over which fingers are smoothed at most; ours
 # of a closing motion's largest speed, below which fingers only give way; of its way, that this
 # makes at most: fingers that stop on the way and go on make more; ours
-CREEPS, CREPT = 0.1, 0.2
+CREEPS, CREPT = 0.1, 0.35
 MOST_GAP_NS = 500_000_000  # ns between states, in which a close can't be placed; ours
 EDGE_NS = 50_000_000  # ns, beside a hole's edge, where a motion in it seems to begin; ours
 SEEN = 0.9  # share of the trial in which the fingers must be known, to say that they never closed
@@ -237,10 +238,15 @@ def _places(
 
 
 def _width(places: Array) -> Array:
-    """Mean distance between the ends of the fingers, m, over time."""
+    """Mean distance between the ends of the fingers, m, over time: of those pairs of which it
+    changes most, as bars of a linkage and fingers side by side hardly part.
+    """
     pairs = combinations(range(places.shape[1]), 2)
-    apart = [np.linalg.norm(places[:, a] - places[:, b], axis=1) for a, b in pairs]
-    return np.asarray(np.mean(apart, axis=0))
+    apart = np.array([np.linalg.norm(places[:, a] - places[:, b], axis=1) for a, b in pairs])
+    if not apart.shape[1]:
+        return np.empty(0)
+    ranges = np.ptp(apart, axis=1)
+    return np.asarray(apart[ranges >= PARTS * ranges.max()].mean(axis=0))
 
 
 def _goes_on(

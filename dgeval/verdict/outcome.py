@@ -181,17 +181,39 @@ def _doubt_without_close(log: TrialLog, hindsight: Hindsight | None) -> str:
                 "log begin after the close? Record the approach, or an operator's word is: "
                 f"{GIVE_A_LABEL}"
             )
-    if not _same_throughout(log):
-        return ""
     times = range(log.first_ns, log.last_ns + 1, POSE_STEP_NS)
-    heights = [float(T[2, 3]) for t in times if (T := log.robot.T_base_palm(t)) is not None]
-    lowest = int(np.argmin(heights)) if heights else 0
-    if not heights or max(heights[lowest:]) - heights[lowest] <= CARRIED_M:
+    heights = [(float(T[2, 3]), t) for t in times if (T := log.robot.T_base_palm(t)) is not None]
+    lowest, low_ns = min(heights, default=(0.0, 0))
+    rose = max((z for z, t in heights if t >= low_ns), default=lowest) - lowest > CARRIED_M
+    if not rose:
         return ""
+    if _same_throughout(log):
+        return (
+            "the hand came to the object and rose, and the states of its fingers are the same to "
+            "the last digit throughout: does their driver hang? If it closed: --close TIME; if "
+            "not: --label failure"
+        )
+    return _doubt_by_object(log, hindsight, low_ns)
+
+
+def _doubt_by_object(log: TrialLog, hindsight: Hindsight | None, low_ns: int) -> str:
+    """The doubt where a hand that seems never to have closed rose from the object, at low_ns: a
+    grip on a thing as wide as the open hand hardly moves its fingers. "" where the object is seen
+    left behind.
+    """
+    if hindsight is None:
+        return ""
+    placed = transform(hindsight.path.at(low_ns), hindsight.points)
+    near = hand_distance(log.robot, low_ns, placed)
+    if near is None or near[0] >= NEAR_M:
+        return ""
+    seen = _seen_after(log.robot, hindsight, low_ns)
+    if seen is not None and not seen[0]:
+        return ""
+    what = "nothing shows whether it took it along" if seen is None else seen[1]
     return (
-        "the hand came to the object and rose, and the states of its fingers are the same to the "
-        "last digit throughout: does their driver hang? If it closed: --close TIME; if not: "
-        "--label failure"
+        "the hand rose from the object, its fingers seem never to have closed, and "
+        f"{what}: if it closed: --close TIME; if not: --label failure"
     )
 
 

@@ -238,6 +238,43 @@ def test_fingers_that_nothing_is_heard_of_never_closed_by_no_proof(
     assert ("does their driver hang?" in found.evidence) == (told == "unknown")
 
 
+@pytest.mark.parametrize(
+    ("seen", "rises", "near_m", "told"),
+    [
+        ((True, "the object is seen 20 cm up"), True, 0.05, "unknown"),
+        (None, True, 0.05, "unknown"),
+        ((False, "the object is seen left"), True, 0.05, "failure"),
+        (None, True, 0.2, "failure"),  # it rose from somewhere else
+        (None, False, 0.05, "failure"),
+    ],
+)
+def test_a_hand_that_rises_from_the_object_may_have_closed_on_it(
+    monkeypatch: pytest.MonkeyPatch,
+    seen: tuple[bool, str] | None,
+    rises: bool,
+    near_m: float,
+    told: str,
+) -> None:
+    """Fails where a gripper whose jaws hardly move on a wide object "never closed"."""
+    made = trial(closed=False)
+
+    def T_base_palm(t_ns: int) -> Array:
+        T = np.eye(4)
+        T[2, 3] = max(0.4 - 0.2 * (t_ns - START) * 1e-9, 0.1)
+        T[2, 3] += max(0.2 * (t_ns - at(1.0)) * 1e-9, 0.0) * rises
+        return T
+
+    made.robot.T_base_palm = T_base_palm
+    far_at_first = lambda _, t_ns, points: (0.3 if t_ns == START else near_m, "index")  # noqa: E731
+    monkeypatch.setattr(f"{OUTCOME}.hand_distance", far_at_first)
+    monkeypatch.setattr(f"{OUTCOME}._seen_after", lambda *of: seen)
+    found = outcome(made, near_to(0.01))
+    assert found.outcome == told
+    assert ("--close TIME" in found.evidence) == (told == "unknown")
+    if seen is not None and told == "unknown":
+        assert seen[1] in found.evidence
+
+
 @pytest.mark.parametrize("hindsight", [None, near_to(None)])
 def test_a_target_that_is_not_known_is_no_answer(hindsight: Any) -> None:
     """Catches `no_grasp` said of a hand that moved to a target which was never tracked."""
