@@ -40,9 +40,9 @@ SETTLED_S, REOPENED, BEGINS = (1.0, 1.5), 0.6, 0.1
 RISING_M = 0.005  # m, from which on it is rising
 OVER_NOISE = 3.0  # standard deviations, by which a motion of the fingers stands out; ours
 MOST_HALF = 25  # samples on each side, over which fingers are smoothed at most; ours
-# of a closing motion's largest speed, below which fingers only give way; of its way, that this
-# makes at most: fingers that stop on the way and go on make more; ours
-CREEPS, CREPT = 0.1, 0.35
+# of a closing motion's largest speed, below which fingers only give way; of its way, by which they
+# have closed faster than that where they close in earnest; ours
+CREEPS, IN_EARNEST = 0.1, 0.1
 MOST_GAP_NS = 500_000_000  # ns between states, in which a close can't be placed; ours
 EDGE_NS = 50_000_000  # ns, beside a hole's edge, where a motion in it seems to begin; ours
 SEEN = 0.9  # share of the trial in which the fingers must be known, to say that they never closed
@@ -297,15 +297,14 @@ def _closing_motions(times: NDArray[np.int64], width: Array) -> list[tuple[int, 
 
 def _after_creep(smooth: Array, rate: Array, k: int, end: int) -> int:
     """Where a motion from k to end begins in earnest: fingers that lean on the ground or the object
-    give way slowly before they close, and it makes little of the way.
+    give way slowly before they close. Fingers that stop on the way have begun before.
     """
     fastest = k + int(np.argmin(rate[k : end + 1]))
-    slow = np.flatnonzero(rate[k:fastest] > CREEPS * rate[fastest])
-    if not len(slow):
-        return k
-    at = k + int(slow[-1]) + 1
-    is_small = smooth[k] - smooth[at] < CREPT * (smooth[k] - smooth[end])
-    return at if is_small else k
+    is_slow = rate[k : end + 1] > CREEPS * rate[fastest]
+    way = np.where(is_slow[:-1], 0.0, -np.diff(smooth[k : end + 1]))
+    made = np.flatnonzero(np.cumsum(way) > IN_EARNEST * (smooth[k] - smooth[end]))
+    before = np.flatnonzero(is_slow[: int(made[0])]) if len(made) else []
+    return k + int(before[-1]) + 1 if len(before) else k
 
 
 def _noise(width: Array) -> float:

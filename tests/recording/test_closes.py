@@ -129,16 +129,25 @@ def test_fingers_that_nobody_saw_for_a_while_may_have_closed_then(
     assert not told.fingers_seen
 
 
-@pytest.mark.parametrize(("creeps_to", "begins_s"), [(0.093, 2.0), (0.075, 1.0)])
+@pytest.mark.parametrize(
+    ("way", "begins_s"),
+    [
+        ([(1, OPEN), (2, 0.093), (2.2, SHUT)], 2.0),
+        ([(1, OPEN), (2, 0.082), (2.08, 0.066), (2.16, 0.065), (2.24, SHUT)], 2.0),
+        ([(1, OPEN), (2, 0.075), (2.2, SHUT)], 1.0),
+        ([(1.8, OPEN), (1.9, 0.08), (1.98, 0.08), (2.2, SHUT)], 1.8),
+    ],
+    ids=["gives way, closes", "meets something as it closes", "in two parts", "pauses"],
+)
 def test_fingers_that_give_way_before_they_close(
-    monkeypatch: pytest.MonkeyPatch, creeps_to: float, begins_s: float
+    monkeypatch: pytest.MonkeyPatch, way: list[Any], begins_s: float
 ) -> None:
-    """Fails where fingers that lean on the ground have begun to close half a second too early, and
-    where a close in two parts begins with its second.
+    """Fails where fingers that lean on the ground have begun to close a second too early, and where
+    a close in two parts begins with its second.
     """
     made = robot(
         monkeypatch,
-        [(0, OPEN), (1, OPEN), (2, creeps_to), (2.2, SHUT), (5, SHUT)],
+        [(0, OPEN), *way, (5, SHUT)],
         [(0, LOW), (3, LOW), (3.8, HIGH), (5, HIGH)],
     )
     assert near(found(made), begins_s, 3.0)
