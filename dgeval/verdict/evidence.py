@@ -274,13 +274,15 @@ def _risen_unseen(hindsight: Hindsight, T_support_base: Array, end_ns: int) -> f
 
 
 def _rises(hindsight: Hindsight, T_support_base: Array, end_ns: int) -> bool:
-    """Whether the object went up or down before the close, as only what someone holds does.
+    """Whether the object went up or down before the hand came to it, as only what someone holds
+    does: what is pushed may topple.
 
     That nothing was seen of it near its support says little: of a tall box a camera above sees the
     top alone.
     """
     centre = hindsight.path.centroid[None]
-    until = end_ns if hindsight.pushed_ns is None else min(hindsight.pushed_ns, end_ns)
+    met = [t for t in (hindsight.contact_ns, hindsight.pushed_ns) if t is not None]
+    until = min([*met, end_ns])
     seen = [s for s in hindsight.sightings if s.t_ns <= until and s.by == "registration"]
     heights = [transform(T_support_base @ s.T_base_model, centre)[0, 2] for s in seen]
     return (

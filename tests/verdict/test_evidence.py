@@ -8,6 +8,7 @@ simulated.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,14 @@ import pytest
 from dgeval.config import Config
 from dgeval.failure_rule import Unknown
 from dgeval.geometry import Array, transform
-from dgeval.hindsight.smoothing import By
+from dgeval.hindsight.smoothing import By, Sighting
 from dgeval.perception.plane import Plane
 from dgeval.recording.messages import JointSample
 from dgeval.robots.described_hand import DescribedHand
 from dgeval.robots.dlr_hit_hand import ACTUATED, GRASP_CENTRE
 from dgeval.robots.dlr_hit_hand import HAND as FIVE_FINGERS
 from dgeval.verdict.beliefs import Beliefs, beliefs_of
-from dgeval.verdict.evidence import Scene, _empty, scene_of
+from dgeval.verdict.evidence import Scene, _empty, _rises, scene_of
 from dgeval.verdict.log import log_of
 from dgeval.worlds.closing import Finish
 from tests.verdict.synthetic_trial import (
@@ -648,3 +649,26 @@ def test_a_hand_rests_empty_after_its_lift(
     assert _empty(log, hand, drives, None) is None
     monkeypatch.setattr(grip, lambda *_: (True, "2 fingers press"))
     assert _empty(log, hand, drives, finish) is None
+
+
+@pytest.mark.parametrize(
+    ("contact_s", "pushed_s", "held"),
+    [(1.5, 3.0, False), (None, 1.5, False), (None, None, True), (2.9, 3.0, True)],
+)
+def test_what_the_hand_topples_is_held_by_nobody(
+    contact_s: float | None, pushed_s: float | None, held: bool
+) -> None:
+    """Fails where a box that the hand tips over, or one that sinks on it, is in someone's hand."""
+    sightings = []
+    for k in range(60):
+        T = np.eye(4)
+        T[2, 3] = 0.17 if k < 40 else 0.09  # it falls at 2 s
+        sightings.append(Sighting(k * 50_000_000, T, "registration"))
+    ns = [None if t is None else round(t * 1e9) for t in (contact_s, pushed_s)]
+    hindsight: Any = SimpleNamespace(
+        path=SimpleNamespace(centroid=np.zeros(3)),
+        sightings=tuple(sightings),
+        contact_ns=ns[0],
+        pushed_ns=ns[1],
+    )
+    assert _rises(hindsight, np.eye(4), 4_000_000_000) == held
