@@ -57,7 +57,8 @@ def _mimic_turned(text: str) -> str:
 
 def _axis_reversed(text: str) -> str:
     """The first moving joint of the last finger turns, or slides, the other way."""
-    at = [m.start() for m in re.finditer(r"<axis ", text) if "arm_" not in _joint(text, m.start())]
+    joints = [(m.start(), _joint(text, m.start())) for m in re.finditer(r"<axis ", text)]
+    at = [k for k, joint in joints if "arm_" not in joint and 'type="fixed"' not in joint]
     head, tail = text[: at[-1]], text[at[-1] :]
     numbers = re.search(r'xyz="([^"]*)"', tail)
     assert numbers is not None

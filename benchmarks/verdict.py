@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import dgeval.worlds  # noqa: F401  # isort: skip  (it chooses how images are drawn before mujoco is imported)
-import mujoco
 import numpy as np
 from dgeval.config import VerdictConfig
 from dgeval.determinism import limit_threads
@@ -27,6 +26,7 @@ from dgeval.hindsight.second_pass import blind_gap
 from dgeval.simulation.blame import blame
 from dgeval.simulation.campaign import Campaign, grasps_of, plan_of, simulate, world_of
 from dgeval.simulation.perception import ModelledPerception
+from dgeval.simulation.physics import Physics
 from dgeval.simulation.scenario import Plan, load_scenario
 from dgeval.simulation.trial import Run, run_trial
 from dgeval.simulation.truth import Prover, prove
@@ -57,37 +57,21 @@ PART_OF = {
     "evaluator_bias": "execution",
     "close_shift": "execution",
 }
-# Changes of the simulated world: factors of friction, mass and contact time constant, m of radius,
-# another solver, a factor of the truth's thresholds; ours.
+# Changes of the simulated world that the verdict does not know of, and a factor of the truth's
+# thresholds; ours.
 VARIANTS = {
-    "as simulated": {},
-    "friction x 0.7": {"friction": 0.7},
-    "friction x 1.4": {"friction": 1.4},
-    "mass x 0.7": {"mass": 0.7},
-    "mass x 1.3": {"mass": 1.3},
-    "contacts twice as soft": {"soft": 2.0},
-    "links 1.5 mm thicker": {"radius": 0.0015},
-    "links 1.5 mm thinner": {"radius": -0.0015},
-    "pyramidal friction cone, 20 iterations": {"solver": 1.0},
-    "label thresholds x 0.8": {"labels": 0.8},
-    "label thresholds x 1.2": {"labels": 1.2},
+    "as simulated": (Physics(), 1.0),
+    "friction x 0.7": (Physics(friction=0.7), 1.0),
+    "friction x 1.4": (Physics(friction=1.4), 1.0),
+    "mass x 0.7": (Physics(mass=0.7), 1.0),
+    "mass x 1.3": (Physics(mass=1.3), 1.0),
+    "contacts twice as soft": (Physics(softness=2.0), 1.0),
+    "links 1.5 mm thicker": (Physics(radius=0.0015), 1.0),
+    "links 1.5 mm thinner": (Physics(radius=-0.0015), 1.0),
+    "pyramidal friction cone, 20 iterations": (Physics(other_solver=True), 1.0),
+    "label thresholds x 0.8": (Physics(), 0.8),
+    "label thresholds x 1.2": (Physics(), 1.2),
 }
-
-
-def change(world: World, variant: dict[str, float]) -> None:
-    """Change the simulated world in a way that the verdict does not know of."""
-    m = world.model
-    for g in world.object_geoms + world.hand_geoms:
-        m.geom_friction[g, 0] *= variant.get("friction", 1.0)
-        m.geom_solref[g, 0] *= variant.get("soft", 1.0)
-    for g in world.hand_geoms:
-        m.geom_size[g, 0] += variant.get("radius", 0.0)
-    body = m.body("object").id
-    m.body_mass[body] *= variant.get("mass", 1.0)
-    m.body_inertia[body] *= variant.get("mass", 1.0)
-    mujoco.mj_setConst(m, world.data)
-    if "solver" in variant:
-        m.opt.cone, m.opt.impratio, m.opt.iterations = mujoco.mjtCone.mjCONE_PYRAMIDAL, 1.0, 20
 
 
 def causal_guess(run: Run, world: World) -> str:
@@ -145,12 +129,12 @@ def judge(job: Job) -> dict[str, Any]:
         )
     campaign = Campaign(scenario, job.seed, 1, Path("unused"))
     plan = plan_of(campaign, job.index)
-    about = VARIANTS[job.variant]
+    physics, scale = VARIANTS[job.variant]
     if scenario.vfas:
         run, world = simulate(campaign, plan)
     else:
         world = world_of(campaign, plan)
-        change(world, about)
+        physics.put(world)
         perceiver = ModelledPerception(scenario, plan, world)
         run = run_trial(plan, scenario, world, grasps_of(campaign, plan), perceiver)
     succeeded = run.finish is not None and run.finish.success
@@ -174,7 +158,6 @@ def judge(job: Job) -> dict[str, Any]:
     }
     if succeeded or len(run.ticks) < MIN_TICKS:
         return out
-    scale = about.get("labels", 1.0)
     th = HANDED_OVER if world.presenter is not None else Thresholds()
     if job.pushed:
         metres, degrees = Prover(run, world).displacement()

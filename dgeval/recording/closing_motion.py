@@ -303,7 +303,7 @@ def _after_creep(smooth: Array, rate: Array, k: int, end: int) -> int:
     is_slow = rate[k : end + 1] > CREEPS * rate[fastest]
     way = np.where(is_slow[:-1], 0.0, -np.diff(smooth[k : end + 1]))
     made = np.flatnonzero(np.cumsum(way) > IN_EARNEST * (smooth[k] - smooth[end]))
-    before = np.flatnonzero(is_slow[: int(made[0])]) if len(made) else []
+    before = np.flatnonzero(is_slow[: int(made[0])] if len(made) else is_slow[:0])
     return k + int(before[-1]) + 1 if len(before) else k
 
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from dgeval import __version__
-from dgeval.determinism import fingerprint, limit_threads, set_thread_variables
+from dgeval.determinism import fingerprint, generator, limit_threads, set_thread_variables
 from dgeval.errors import UsageError
 from dgeval.planning.grasps import networks_of
 from dgeval.recording.containers.container import sha256_of
@@ -32,6 +32,7 @@ from dgeval.simulation.hand_grasps import kept_grasps
 from dgeval.simulation.imported_hand import ImportedHand, read_hand
 from dgeval.simulation.meshes import load_meshes
 from dgeval.simulation.perception import ModelledPerception, depth_profile, true_cameras
+from dgeval.simulation.physics import draw_physics
 from dgeval.simulation.proposals import FFHNetGrasps, GraspSource, KnownGrasps
 from dgeval.simulation.record import verdict_document, write_recording
 from dgeval.simulation.render import Renderer
@@ -163,8 +164,13 @@ def _grasps(campaign: Campaign, name: str) -> list[KnownGrasp]:
 def plan_of(campaign: Campaign, index: int) -> Plan:
     """Trial `index` as drawn."""
     objects = _objects(campaign.meshes, campaign.scenario.vfas)
-    planned = plan_vfas if campaign.scenario.vfas else plan_trial
-    return planned(campaign.scenario, objects, campaign.seed, index)
+    scenario = campaign.scenario
+    planned = plan_vfas if scenario.vfas else plan_trial
+    plan = planned(scenario, objects, campaign.seed, index)
+    if scenario.physics is None:
+        return plan
+    rng = generator(campaign.seed, f"physics/{scenario.name}", index)
+    return replace(plan, physics=draw_physics(scenario.physics, rng))
 
 
 def world_of(campaign: Campaign, plan: Plan, cameras: tuple[Camera, ...] = ()) -> World:
@@ -174,9 +180,10 @@ def world_of(campaign: Campaign, plan: Plan, cameras: tuple[Camera, ...] = ()) -
     late = campaign.scenario.belt_start_s
     belt = LateBelt(plan.speed, late) if late and plan.speed else None
     setting = Setting(others, plan.presenter, plan.turn, belt)
-    return World(
-        objects[plan.object], plan.speed, cameras, setting, gripper=campaign.scenario.gripper
-    )
+    gripper = campaign.scenario.gripper
+    world = World(objects[plan.object], plan.speed, cameras, setting, gripper=gripper)
+    plan.physics.put(world)
+    return world
 
 
 def grasps_of(campaign: Campaign, plan: Plan) -> GraspSource:

@@ -63,6 +63,7 @@ from dgeval.recording.write import (
 )
 from dgeval.robots.diana7 import JOINT_NAMES as ARM_JOINTS
 from dgeval.robots.urdf import CAMERA_FRAME, robot_urdf
+from dgeval.simulation.physics import AS_MODELLED
 from dgeval.simulation.render import Renderer
 from dgeval.simulation.scenario import Scenario
 from dgeval.simulation.seeing import Images, encode
@@ -240,6 +241,7 @@ def verdict_document(
         "t_close_s": None if run.close is None else round(run.close * CONTROL_S, 3),
         "faults": plan.faults.as_dict(),
         "faults_present": plan.faults.present(),
+        **({} if plan.physics == AS_MODELLED else {"physics": plan.physics.as_dict()}),
         "blame": blame,
         "scenario": scenario.plans_of or scenario.name,
         "object": plan.object,

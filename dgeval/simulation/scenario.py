@@ -17,6 +17,7 @@ from dgeval.errors import Place, UsageError
 from dgeval.robots.hand import SimulatedHand, hand_named
 from dgeval.simulation.faults import Faults, draw
 from dgeval.simulation.imported_hand import read_hand
+from dgeval.simulation.physics import AS_MODELLED, Physics, PhysicsConfig
 from dgeval.simulation.setting import Turn
 from dgeval.worlds.objects import ObjectModel
 from dgeval.worlds.presenter import Presenter, draw_presenter
@@ -149,6 +150,9 @@ class Scenario(_Section):
     camera: CameraConfig = CameraConfig()
     noise: PerceptionNoise = PerceptionNoise()
     evaluator: EvaluatorConfig = EvaluatorConfig()
+    physics: PhysicsConfig | None = Field(
+        None, description="each trial in a world of its own; default: the same physics in all"
+    )
     faults: dict[str, FaultConfig] = {}
     faults_at_most: int | None = Field(
         None,
@@ -176,7 +180,7 @@ class Plan:
 
     speed: of the belt, m/s along +y with sign. x, y m and yaw rad: the object's start. home_y m: y
     of the hand at the start. others: name, x, y, yaw of each other object on the table.
-    close_jitter s: added to the close time.
+    close_jitter s: added to the close time. physics: of the trial's world.
     """
 
     id: str
@@ -193,6 +197,7 @@ class Plan:
     presenter: Presenter | None = None
     others: tuple[tuple[str, float, float, float], ...] = ()
     turn: Turn | None = None
+    physics: Physics = AS_MODELLED
 
     @property
     def nominal_speed(self) -> float:
