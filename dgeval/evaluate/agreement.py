@@ -101,7 +101,7 @@ def document_of(trials: Sequence[Judged]) -> dict[str, Any]:
         for column in LABELLED
         if any(t.true.get(column) for t in failed)
     }
-    out["close"] = _closes(trials)
+    out["closes"] = _closes(trials)
     sub = [
         t
         for t in failed
@@ -198,7 +198,7 @@ def markdown_of(title: str, trials: Sequence[Judged]) -> str:
         parts += _label_parts(column, label)
     if (sub := figures.get("sub_cause")) is not None:
         parts.append(f"Sub-cause, where the class is right: {_text(sub)}")
-    if (close := figures["close"]) is not None:
+    if (close := figures["closes"]) is not None:
         median = "–" if close["median_s"] is None else f"{close['median_s'] * 1000:.0f} ms"
         parts.append(
             f"Closes within {CLOSE_S * 1000:.0f} ms of the true one: {_text(close['near'])}; "

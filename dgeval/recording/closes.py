@@ -61,7 +61,9 @@ class CloseKnown:
     missing: why no close is known; None where one is, or where the hand is known not to have
     closed. note: for the trial's row, "" without. fingers_ns: when the fingers are seen to begin to
     close; None where that is not seen. late: in words, why the close is marked too late, "" where
-    it is not. before_ns: the close of the attempt before this one; None without one.
+    it is not. before_ns: the close of the attempt before this one; None without one. motion_ns:
+    when fingers that are seen throughout close for the last time, where no lift follows and that is
+    all that is missing: far from the object that is no close.
     """
 
     events: Events
@@ -71,6 +73,7 @@ class CloseKnown:
     fingers_ns: int | None = None
     late: str = ""
     before_ns: int | None = None
+    motion_ns: int | None = None
 
 
 def close_of(
@@ -145,12 +148,13 @@ def close_of(
         return CloseKnown(events, None, f"{why} If so nothing tells how it closed; else {MENDS}")
     if isinstance(found, NoClose):
         ended = events.first_ns(TRIAL_END_EVENT) is not None
-        still = found.motion_ns is None and not any(
+        told_to_move = any(
             first_ns <= start <= last_ns
             for track in grippers
             if track.kind != "effort"
             for start, _ in track.changes()
         )
+        still = found.motion_ns is None and not told_to_move
         if found.fingers_seen and (ended or still):
             # the fingers never closed, or the robot writes its events and none is a close
             note = ""
@@ -162,7 +166,9 @@ def close_of(
                     f"is one: {MENDS}"
                 )
             return CloseKnown(events, None, None, note)
-        return CloseKnown(events, None, f"no moment of closing is marked{found.why}; {MENDS}")
+        why = f"no moment of closing is marked{found.why}; {MENDS}"
+        motion_ns = found.motion_ns if found.fingers_seen and not told_to_move else None
+        return CloseKnown(events, None, why, motion_ns=motion_ns)
     events = _with(events, CLOSE_EVENT, found.close_ns)
     if lift_ns is None:
         events = _with(events, LIFT_EVENT, found.lift_ns)

@@ -252,8 +252,8 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
     found = failed_checks(scanned, roles, robot, window, reader, config.clock, close_ns)
     checks = [*found.failed, *pair_check(window, config.sync)]
     checks += part_check(spec.recording, spec.parts)
-    if close.source is None and close.missing is None and any(c.name == "joints" for c in checks):
-        close = replace(close, missing=NOT_BY_THESE)
+    if close.source is None and any(c.name == "joints" for c in checks):
+        close = replace(close, missing=close.missing or NOT_BY_THESE, motion_ns=None)
     if close.late:
         began = ((close.fingers_ns or first_ns) - first_ns) * 1e-9
         checks.append(Check("events", close.late, f"if the mark is late: --close {began:+.2f}"))

@@ -19,7 +19,7 @@ from dgeval.verdict.draws import PRESSED_M, decide_scene
 from dgeval.verdict.estimates import HandShown, hand_shown
 from dgeval.verdict.evidence import Scene, scene_of
 from dgeval.verdict.log import TrialLog
-from dgeval.verdict.outcome import outcome_of
+from dgeval.verdict.outcome import outcome_of, why_no_close
 from dgeval.verdict.recorded_lift import LEAST_RISE_M
 from dgeval.verdict.sentence import Times, sentence
 
@@ -162,8 +162,8 @@ def _at_its_word(log: TrialLog, decision: Decision) -> str:
 def _decision(
     log: TrialLog, hindsight: Hindsight | None, config: VerdictConfig, seed: int
 ) -> tuple[Scene, Decision] | Unknown:
-    if log.close_ns is None and log.close_missing is not None:
-        return Unknown(log.close_missing)
+    if log.close_ns is None and (why := why_no_close(log, hindsight)) is not None:
+        return Unknown(why)
     if hindsight is None:
         return Unknown("the object was never tracked")
     scene = scene_of(log, hindsight)

@@ -107,6 +107,7 @@ class TrialLog:
     of the robot's position servo, as configured. elsewhere: what other trials show of the hand.
     released_ns: when the fingers open again after the close. is_cut: no end of the trial is marked,
     and the hand still moves at the end of the log. untested: what the log is taken at its word for.
+    motion_ns: of fingers whose last closing motion no lift follows, when it begins.
     """
 
     first_ns: int
@@ -125,6 +126,7 @@ class TrialLog:
     released_ns: int | None = None
     is_cut: bool = False
     untested: tuple[str, ...] = ()
+    motion_ns: int | None = None
 
     @property
     def end_ns(self) -> int:
@@ -175,6 +177,7 @@ def log_of(trial: Trial, elsewhere: HandEstimate | None = None) -> TrialLog:
         released_ns,
         trial.event_ns(TRIAL_END_EVENT) is None and _moves_at_the_end(trial),
         trial.untested,
+        trial.close.motion_ns,
     )
 
 

@@ -81,8 +81,8 @@ def _shown(log: TrialLog, hindsight: Hindsight | None) -> Ended:
                 None,
                 "a part of the recording is damaged or missing, and what can be read has no close",
             )
-        if log.close_missing is not None:
-            return Ended("unknown", None, log.close_missing)
+        if (why := why_no_close(log, hindsight)) is not None:
+            return Ended("unknown", None, why)
         return _without_close(log, hindsight)
     last_ns = _last_ns(log)
     after_s = max(0.0, (last_ns - close_ns) * 1e-9)
@@ -121,6 +121,22 @@ def _shown(log: TrialLog, hindsight: Hindsight | None) -> Ended:
         confident if held else 1 - confident,
         seen is None,
     )
+
+
+def why_no_close(log: TrialLog, hindsight: Hindsight | None) -> str | None:
+    """In words, why no close is known of a log without one; None where the hand never closed.
+
+    Fingers that moved for the last time before the hand had come near the object took a shape for
+    the grasp.
+    """
+    if log.close_missing is None or log.motion_ns is None or hindsight is None:
+        return log.close_missing
+    for t_ns in range(log.first_ns, log.motion_ns + 1, POSE_STEP_NS):
+        placed = transform(hindsight.path.at(t_ns), hindsight.points)
+        near = hand_distance(log.robot, t_ns, placed)
+        if near is None or near[0] < NEAR_M:
+            return log.close_missing
+    return None
 
 
 def _last_ns(log: TrialLog) -> int:

@@ -111,7 +111,7 @@ def test_the_brier_score() -> None:
 def test_closes() -> None:
     never = Judged("never", "belt", said("failure", "timing", 0.8), so("timing", None))
     lost = Judged("lost", "belt", said("failure", "timing", 0.8, t_close_ns=None), so("timing"))
-    close = document_of([*TRIALS, never, lost])["close"]
+    close = document_of([*TRIALS, never, lost])["closes"]
     assert (close["near"]["k"], close["near"]["n"]) == (4, 6)  # one is 60 ms off, one not found
     assert (close["not_found"], close["invented"]) == (1, 1)
 
@@ -169,7 +169,7 @@ def test_a_run_beside_peoples_words(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert done.exit_code == 0
     figures = json.loads(done.output)["groups"]["beside people's words"]
     assert figures["labels"]["failure_class"]["right"]["k"] == 1
-    assert figures["close"] is None
+    assert figures["closes"] is None
     assert "| b | collision | timing 90% |" in (tmp_path / "verdicts.md").read_text()
     run.trials = run.trials[2:]
     with pytest.raises(UsageError, match="none of its 1 trials has a person's word"):

@@ -2386,7 +2386,7 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/trials.py",
-        "    if close.source is None and close.missing is None and any",
+        "    if close.source is None and any",
         "    if False and any",
         "tests/recording/test_ninth_strangers.py::test_joints_that_cant_be_right_say_nothing_of_the_close",
     ),

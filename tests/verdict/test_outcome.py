@@ -50,6 +50,7 @@ def trial(
     end_s: float | None = None,
     damage: Sequence[str] = (),
     missing: str | None = None,
+    motion_ns: int | None = None,
     checks: Sequence[str] = (),
     palm_known: float = 1.0,
     palm_speed: float = 0.1,
@@ -95,7 +96,7 @@ def trial(
         ),
         config=Config(),
         opened=None,
-        close=SimpleNamespace(missing=missing),
+        close=SimpleNamespace(missing=missing, motion_ns=motion_ns),
         checks=[SimpleNamespace(name=name) for name in checks],
         untested=(),
     )
@@ -273,6 +274,27 @@ def test_a_hand_that_rises_from_the_object_may_have_closed_on_it(
     assert ("--close TIME" in found.evidence) == (told == "unknown")
     if seen is not None and told == "unknown":
         assert seen[1] in found.evidence
+
+
+@pytest.mark.parametrize(
+    ("motion_s", "near_at_s", "told"),
+    [(-1.8, -1.0, "failure"), (-0.5, -1.0, "unknown"), (None, -1.0, "unknown")],
+)
+def test_fingers_that_move_far_from_the_object_take_a_shape(
+    monkeypatch: pytest.MonkeyPatch, motion_s: float | None, near_at_s: float, told: str
+) -> None:
+    """Fails where fingers that take their shape two seconds before the hand is at the object hide
+    that it never closed there.
+    """
+    motion_ns = None if motion_s is None else at(motion_s)
+    made = trial(closed=False, missing="fingers close", motion_ns=motion_ns, palm_speed=0.0)
+    made.robot.T_base_palm = lambda t_ns: np.diag([1.0, 1.0, 1.0, 1.0])
+    comes = lambda _, t_ns, points: (0.05 if t_ns >= at(near_at_s) else 0.3, "index")  # noqa: E731
+    monkeypatch.setattr(f"{OUTCOME}.hand_distance", comes)
+    found = outcome(made, near_to(0.05))
+    assert found.outcome == told
+    assert (found.evidence == "fingers close") == (told == "unknown")
+    assert outcome(made, None).outcome == "unknown"
 
 
 @pytest.mark.parametrize("hindsight", [None, near_to(None)])
