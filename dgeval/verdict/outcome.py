@@ -29,6 +29,9 @@ from dgeval.verdict.evidence import MIN_REGISTERED
 from dgeval.verdict.log import TrialLog
 
 AFTER_S = 1.0  # s after the close, from which fingers at rest tell what they hold; ours
+# s, likewise of a hand that opens again: what is gripped, lifted and put down takes longer than
+# fingers that lean on something and spring back; ours
+RELEASED_S = 2.0
 POSE_STEP_NS = 50_000_000  # ns, between the times at which the palm is asked for
 MOVED_M = 0.01  # m, by which a hand that stood still seems to move at most; ours
 LAST_S = 0.5  # s of the log, over which efforts are judged; ours
@@ -86,7 +89,7 @@ def _shown(log: TrialLog, hindsight: Hindsight | None) -> Ended:
         return _without_close(log, hindsight)
     last_ns = _last_ns(log)
     after_s = max(0.0, (last_ns - close_ns) * 1e-9)
-    if after_s < AFTER_S:
+    if after_s < (AFTER_S if log.released_ns is None else RELEASED_S):
         what = "the log ends" if log.released_ns is None else "the hand opens again"
         return Ended("unknown", None, f"{what} {after_s:.1f} s after the close")
     fingers = _pressing(log, last_ns)

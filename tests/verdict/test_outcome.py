@@ -654,7 +654,7 @@ def test_fingers_and_sightings_together(
     ("released_s", "expected"),
     [
         (3.0, ("success", f"{GRIP_SAYS}, before the hand opens again 3.0 s after the close")),
-        (0.9, ("unknown", "the hand opens again 0.9 s after the close")),
+        (1.9, ("unknown", "the hand opens again 1.9 s after the close")),
         (None, ("failure", EMPTY_SAYS)),
     ],
 )
