@@ -378,3 +378,16 @@ def test_a_close_that_is_marked_long_before_the_fingers_move(
     )
     known = close_of(Events((Event(round(marked_s * S), "close", {}),)), made, 0, 5 * S)
     assert ("if the mark is early: --close +2.0" in known.note) == is_told
+
+
+def test_the_bars_of_a_linkage_hide_no_close(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails where jaws that close by 6 mm on a wide thing "hardly move", as four bars that hang on
+    them stay where they are.
+    """
+    made = robot(monkeypatch, [(0, OPEN)], [(0, LOW), (3, LOW), (3.8, HIGH), (5, HIGH)])
+    times = np.arange(0, int(LENGTH_S * S) + 1, closing_motion.STEP_NS)
+    ends = np.zeros((len(times), 6, 3))
+    ends[:, 1, 0] = np.interp(times * 1e-9, [0, 2, 2.3, 5], [0.085, 0.085, 0.079, 0.079])
+    ends[:, 2:, 1] = [0.05, 0.06, 0.07, 0.08]
+    monkeypatch.setattr(closing_motion, "_places", lambda *_: (times, ends))
+    assert near(found(made), 2.0, 3.0)

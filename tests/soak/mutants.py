@@ -539,8 +539,8 @@ MUTANTS = [
     # how it ended, and the picture
     Mutant(
         OUTCOME,
-        "if after_s < AFTER_S:",
-        "if after_s <= AFTER_S:",
+        "if after_s < (AFTER_S if",
+        "if after_s <= (AFTER_S if",
         f"{TEST_OUTCOME}::test_from_one_second_on_the_fingers_are_at_rest",
     ),
     Mutant(
@@ -647,8 +647,8 @@ MUTANTS = [
     ),
     Mutant(
         MOTION,
-        "is_new and lift - start >= BEFORE_LIFT_NS",
-        "is_new and lift - end >= BEFORE_LIFT_NS",
+        "if lift is None or lift - start < BEFORE_LIFT_NS:",
+        "if lift is None or lift - end < BEFORE_LIFT_NS:",
         f"{TEST_CLOSES}::test_a_lift_right_behind_a_slow_close",
     ),
     Mutant(
@@ -665,8 +665,8 @@ MUTANTS = [
     ),
     Mutant(
         MOTION,
-        "while k and start - motions[k - 1][1] < RESTING_NS:",
-        "while False and start - motions[k - 1][1] < RESTING_NS:",
+        "start - motions[k - 1][1] < RESTING_NS",
+        "False",
         f"{TEST_CLOSES}::test_fingers_that_pause_at_the_object_close_once",
     ),
     Mutant(
@@ -2284,8 +2284,8 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/verdict/outcome.py",
-        "max(heights[lowest:]) - heights[lowest] <= CARRIED_M",
-        "max(heights[lowest:]) - heights[lowest] <= 10.0",
+        "default=lowest) - lowest > CARRIED_M",
+        "default=lowest) - lowest > 10.0",
         "tests/verdict/test_outcome.py::test_fingers_that_nothing_is_heard_of_never_closed_by_no_proof",
     ),
     Mutant(
@@ -2749,6 +2749,126 @@ MUTANTS = [
         "if shared > MOSTLY * min(",
         "if shared < MOSTLY * min(",
         "tests/recording/test_lost_parts.py",
+    ),
+    Mutant(
+        "dgeval/recording/closing_motion.py",
+        "return k + int(before[-1]) + 1 if len(before) else k",
+        "return k",
+        "tests/recording/test_closes.py::test_fingers_that_give_way_before_they_close",
+    ),
+    Mutant(
+        "dgeval/recording/closing_motion.py",
+        "np.cumsum(way) > IN_EARNEST",
+        "np.cumsum(way) > 0.9",
+        "tests/recording/test_closes.py::test_fingers_that_give_way_before_they_close",
+    ),
+    Mutant(
+        "dgeval/recording/closing_motion.py",
+        "> GOES_ON * moved[first",
+        "> 9.0 * moved[first",
+        "tests/recording/test_closes.py::test_fingers_that_curl_past_each_other",
+    ),
+    Mutant(
+        "dgeval/recording/closing_motion.py",
+        "min() > GOES_ON",
+        "min() > -GOES_ON",
+        "tests/recording/test_closes.py::test_fingers_that_curl_past_each_other",
+    ),
+    Mutant(
+        "dgeval/recording/closing_motion.py",
+        "apart[ranges >= PARTS * ranges.max()]",
+        "apart[ranges >= 0.0]",
+        "tests/recording/test_closes.py::test_the_bars_of_a_linkage_hide_no_close",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        "if near is None or near[0] >= NEAR_M:",
+        "if True:",
+        "tests/verdict/test_outcome.py::test_a_hand_that_rises_from_the_object_may_have_closed_on_it",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        "if seen is not None and not seen[0]:",
+        "if False:",
+        "tests/verdict/test_outcome.py::test_a_hand_that_rises_from_the_object_may_have_closed_on_it",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        "if near is None or near[0] < NEAR_M:",
+        "if False:",
+        "tests/verdict/test_outcome.py::test_fingers_that_move_far_from_the_object_take_a_shape",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        "if log.released_ns is None else RELEASED_S",
+        "if log.released_ns is None else AFTER_S",
+        "tests/verdict/test_outcome.py",
+    ),
+    Mutant(
+        "dgeval/verdict/evidence.py",
+        "until = min([*met, end_ns])",
+        "until = end_ns",
+        "tests/verdict/test_evidence.py::test_what_the_hand_topples_is_held_by_nobody",
+    ),
+    Mutant(
+        "dgeval/verdict/draws.py",
+        "BLIND_DESCRIBED = 0.15",
+        "BLIND_DESCRIBED = 0.0",
+        "tests/verdict/test_decide.py::test_a_hand_by_its_description_is_never_as_sure_as_its_draws",
+    ),
+    Mutant(
+        "dgeval/evaluate/agreement.py",
+        'if self.outcome == "failure" else NO_FAILURE',
+        "if True else NO_FAILURE",
+        "tests/evaluate/test_agreement.py",
+    ),
+    Mutant(
+        "dgeval/evaluate/agreement.py",
+        " + (1.0 - sum(p)) ** 2",
+        "",
+        "tests/evaluate/test_agreement.py::test_the_brier_score",
+    ),
+    Mutant(
+        "dgeval/evaluate/agreement.py",
+        "key=lambda t: (-_sure(t), t.arm, t.trial)",
+        "key=lambda t: (t.arm, t.trial)",
+        "tests/evaluate/test_agreement.py::test_the_surest_mistake_comes_first",
+    ),
+    Mutant(
+        "dgeval/evaluate/words.py",
+        'trials["cause_given"].notna()',
+        'trials["trial"].notna()',
+        "tests/evaluate/test_agreement.py::test_a_run_beside_peoples_words",
+    ),
+    Mutant(
+        "dgeval/simulation/physics.py",
+        "m.body_mass[body] *= self.mass",
+        "pass",
+        "tests/simulation/test_varied_physics.py",
+    ),
+    Mutant(
+        "dgeval/simulation/physics.py",
+        "m.geom_friction[g, 0] *= self.friction",
+        "pass",
+        "tests/simulation/test_varied_physics.py",
+    ),
+    Mutant(
+        "dgeval/simulation/campaign.py",
+        "plan.physics.put(world)",
+        "pass",
+        "tests/simulation/test_varied_physics.py",
+    ),
+    Mutant(
+        "dgeval/cli/replay.py",
+        "if note not in r.messages:",
+        "if True:",
+        "tests/replay/test_printed.py",
+    ),
+    Mutant(
+        "dgeval/schema.py",
+        'NOTES_APART = " | "',
+        'NOTES_APART = "; "',
+        "tests/replay/test_printed.py",
     ),
 ]
 
