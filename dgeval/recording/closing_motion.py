@@ -37,6 +37,7 @@ RISES_M, RISES_S, AFTER_S = 0.05, 1.0, 1.0
 # s after the close, when fingers have settled on what they hold; shares of the way that they
 # closed, by which they have opened again at the end, and begin to; ours
 SETTLED_S, REOPENED, BEGINS = (1.0, 1.5), 0.6, 0.1
+OPEN_LEAST = 10  # times at which a hand is open that then closes again; ours
 RISING_M = 0.005  # m, from which on it is rising
 OVER_NOISE = 3.0  # standard deviations, by which a motion of the fingers stands out; ours
 MOST_HALF = 25  # samples on each side, over which fingers are smoothed at most; ours
@@ -171,24 +172,36 @@ def fingers_seen(robot: RobotStates, first_ns: int, last_ns: int) -> bool:
     return len(tips) >= 2 and len(_places(robot, tips, first_ns, last_ns)[0]) >= LEAST_SEEN
 
 
-def release_after(robot: RobotStates, close_ns: int, last_ns: int) -> int | None:
-    """When a hand that has closed begins to open again for good, ns; None where it does not, or its
-    fingers are not known.
+def release_after(
+    robot: RobotStates, close_ns: int, last_ns: int, lift_ns: int | None = None
+) -> int | None:
+    """When a hand that has closed begins to open again, ns: for good, or at all after its lift;
+    None where it does not, or its fingers are not known.
     """
     tips = _finger_ends(robot)
     if len(tips) < 2:
         return None
     times, places = _places(robot, tips, close_ns, last_ns)
-    width = _width(places)
     since = (times - close_ns) * 1e-9
-    settled = width[(since >= SETTLED_S[0]) & (since <= SETTLED_S[1])]
-    if len(settled) < 10 or since[-1] < SETTLED_S[1]:
+    settled = (since >= SETTLED_S[0]) & (since <= SETTLED_S[1])
+    if settled.sum() < 10 or since[-1] < SETTLED_S[1]:
         return None
-    held = float(np.median(settled))
-    way = float(width[0]) - held
-    if way < LEAST_M or float(np.median(width[-10:])) - held < REOPENED * way:
+    if robot.palm_frame is None:  # the fingers' ends move with the arm
+        places = _width(places)[:, None, None]
+    held = np.median(places[settled], axis=0)
+    closed = held - places[0]
+    if float(np.linalg.norm(closed, axis=1).mean()) < LEAST_M / 2:
         return None
-    return int(times[np.flatnonzero(width <= held + BEGINS * way)[-1]])
+    # shares of the way that the fingers closed; a hand need not open to the shape it closed from
+    back = -np.einsum("nij,ij->n", places - held, closed) / float((closed * closed).sum())
+    if float(np.median(back[-10:])) >= REOPENED:
+        return int(times[np.flatnonzero(back <= BEGINS)[-1]])
+    if lift_ns is None:
+        return None
+    is_open = np.flatnonzero((back >= REOPENED) & (times > lift_ns) & (since > SETTLED_S[1]))
+    if len(is_open) < OPEN_LEAST:
+        return None
+    return int(times[np.flatnonzero(back[: is_open[0]] <= BEGINS)[-1]])
 
 
 def _finger_ends(robot: RobotStates) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from dgeval.recording.contract import (
     CLOSE_EVENT,
     COMMAND_TOPIC,
     GRASP_TOPIC,
+    LIFT_EVENT,
     MASK_TOPIC,
     MODEL_TOPIC,
     TARGET_TOPIC,
@@ -146,7 +147,7 @@ def log_of(trial: Trial, elsewhere: HandEstimate | None = None) -> TrialLog:
         until_ns = min(
             trial.robot.samples[-1].t_ns, trial.spec.end_ns or trial.robot.samples[-1].t_ns
         )
-        released_ns = release_after(trial.robot, close_ns, until_ns)
+        released_ns = release_after(trial.robot, close_ns, until_ns, trial.event_ns(LIFT_EVENT))
         if released_ns is None and not fingers_seen(trial.robot, close_ns, until_ns):
             told = [t.released_ns(close_ns, until_ns) for t in gripper_tracks(scan, trial.robot)]
             released_ns = min((t for t in told if t is not None), default=None)

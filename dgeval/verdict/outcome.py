@@ -32,6 +32,11 @@ AFTER_S = 1.0  # s after the close, from which fingers at rest tell what they ho
 # s, likewise of a hand that opens again: what is gripped, lifted and put down takes longer than
 # fingers that lean on something and spring back; ours
 RELEASED_S = 2.0
+# fingers of which equal efforts are no chance; ns after the close, when fingers have met what they
+# grip; rad, by which fingers that a brake holds move at most; ours
+LEAST_ALIKE = 3
+BRAKED_NS, STAYS_RAD = 500_000_000, 0.03
+FALLS_NS = 300_000_000  # ns, after the last time they press, in which fingers close further; ours
 POSE_STEP_NS = 50_000_000  # ns, between the times at which the palm is asked for
 MOVED_M = 0.01  # m, by which a hand that stood still seems to move at most; ours
 LAST_S = 0.5  # s of the log, over which efforts are judged; ours
@@ -90,14 +95,17 @@ def _shown(log: TrialLog, hindsight: Hindsight | None) -> Ended:
     last_ns = _last_ns(log)
     after_s = max(0.0, (last_ns - close_ns) * 1e-9)
     if after_s < (AFTER_S if log.released_ns is None else RELEASED_S):
-        what = "the log ends" if log.released_ns is None else "the hand opens again"
-        return Ended("unknown", None, f"{what} {after_s:.1f} s after the close")
+        if log.released_ns is None:
+            return Ended("unknown", None, f"the log ends {after_s:.1f} s after the close")
+        what = f"the hand opens again {after_s:.1f} s after the close"
+        return Ended("unknown", None, f"{what}; an operator's word is: {GIVE_A_LABEL}")
     fingers = _pressing(log, last_ns)
     if isinstance(fingers, Unknown):
         return Ended("unknown", None, fingers.reason)
     seen = _seen_after(log.robot, hindsight, close_ns, log.released_ns)
     if fingers is None and seen is None:
         why = "neither efforts nor a sighting after the lift say how it ended"
+        why += _untold(log, last_ns)
         if _is_stuck(log):
             why += " (the fingers' states stay the same from the close on: does their driver hang?)"
         efforts = [e for s in log.hand_samples for e in s.efforts.values()]
@@ -267,12 +275,7 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
             shown = described_grip(geometry, list(log.hand_samples), log.close_ns, samples, empty)
         if isinstance(log.robot.hand, DescribedHand):
             return shown
-    known: tuple[Hand, ...] = hands()
-    if described:
-        known = () if log.robot.hand is None else (log.robot.hand,)
-    for grip in (hand.grip for hand in known):
-        if grip is None or not _is_signal(log, grip):
-            continue
+    for grip in _known_grips(log):
         if grip.signal == "effort" and (peak := _peak(log, grip)) > grip.most:
             return Unknown(
                 f"the fingers' efforts reach {peak:.0f}, more than this hand's {grip.most:.0f} Nm: "
@@ -282,12 +285,81 @@ def _pressing(log: TrialLog, last_ns: int) -> tuple[bool, str] | Unknown | None:
         rows = [[v[n] for n in grip.joints] for v in values if all(n in v for n in grip.joints)]
         if len(rows) >= grip.least:
             holds = grip.holds(np.array(rows))
+            if grip.signal == "effort" and (
+                _is_commanded(rows) if holds[0] else _falls_away(log, grip, last_ns)
+            ):
+                continue
             if shown is not None and shown[0] != holds[0]:
                 return Unknown(
                     f"{holds[1]}, but {shown[1]}: are efforts in other units, or is their zero off?"
                 )
             return holds
     return None
+
+
+def _untold(log: TrialLog, last_ns: int) -> str:
+    """In words, why the efforts of a known hand tell nothing at the end; "" for no such reason."""
+    grips = [grip for grip in _known_grips(log) if grip.signal == "effort"]
+    for grip in grips:
+        rows = _efforts(grip, _at_the_end(log, last_ns))
+        if _is_commanded(rows) and grip.holds(np.array(rows))[0]:
+            return (
+                " (the efforts of all fingers are one number to the last digit, as commanded ones)"
+            )
+        if _falls_away(log, grip, last_ns):
+            return " (the efforts fall away while the fingers stay where they are, as with a brake)"
+    return ""
+
+
+def _known_grips(log: TrialLog) -> list[Grip]:
+    """How a grip shows of the hand that dgeval knows; of all of them without a description."""
+    known: tuple[Hand | DescribedHand | None, ...] = hands()
+    if log.robot.description is not None:
+        known = (log.robot.hand,)
+    grips = [hand.grip for hand in known if isinstance(hand, Hand)]
+    return [grip for grip in grips if grip is not None and _is_signal(log, grip)]
+
+
+def _efforts(grip: Grip, samples: list[JointSample]) -> list[list[float]]:
+    """Rows of the efforts of a grip's joints, of the samples that have them all."""
+    return [
+        [s.efforts[n] for n in grip.joints]
+        for s in samples
+        if all(n in s.efforts for n in grip.joints)
+    ]
+
+
+def _is_commanded(rows: list[list[float]]) -> bool:
+    """Whether the efforts of three joints or more are one number that never changes: no measured
+    ones are.
+    """
+    values = {v for row in rows for v in row}
+    return bool(rows) and len(rows[0]) >= LEAST_ALIKE and len(values) == 1 and values != {0.0}
+
+
+def _falls_away(log: TrialLog, grip: Grip, last_ns: int) -> bool:
+    """Whether fingers pressed after the close, press no more at the end, and stay where they were:
+    what slips away lets fingers close further, a brake that holds them does not.
+    """
+    assert log.close_ns is not None
+    samples = [
+        s
+        for s in log.hand_samples
+        if log.close_ns + BRAKED_NS <= s.t_ns <= last_ns
+        and all(n in s.efforts and n in s.positions for n in grip.joints)
+    ]
+    end = _efforts(grip, _at_the_end(log, last_ns))
+    if len(end) < grip.least or grip.holds(np.array(end))[0]:
+        return False
+    step = max(grip.least, 1)
+    for k in range(0, len(samples) - step, step)[::-1]:
+        if grip.holds(np.array(_efforts(grip, samples[k : k + step])))[0]:
+            until_ns = samples[k].t_ns + FALLS_NS
+            q = np.array(
+                [[s.positions[n] for n in grip.joints] for s in samples[k:] if s.t_ns <= until_ns]
+            )
+            return bool(np.ptp(q, axis=0).max() < STAYS_RAD)
+    return False
 
 
 def _hand_of(log: TrialLog) -> Hand | DescribedHand | None:

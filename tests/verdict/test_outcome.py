@@ -20,6 +20,7 @@ from dgeval.config import Config
 from dgeval.geometry import Array
 from dgeval.hindsight.smoothing import Sighting
 from dgeval.perception.plane import Plane
+from dgeval.recording.contract import GIVE_A_LABEL
 from dgeval.recording.events import Events
 from dgeval.recording.messages import Event, JointSample
 from dgeval.recording.pairing import Pair
@@ -436,7 +437,24 @@ def test_efforts_are_judged_by_their_mean_over_the_last_half_second() -> None:
     ][::-1]
     assert outcome(trial(joints=swinging), None).outcome == "failure"
     dropped = [*efforts(0.3, 0.3, last_s=3.4, n=50), *efforts(0.0, 0.0, last_s=4.0, n=25)]
-    assert outcome(trial(joints=dropped), None).outcome == "failure"
+    further = [replace(s, positions=dict.fromkeys(s.positions, 0.6)) for s in dropped[50:]]
+    assert outcome(trial(joints=[*dropped[:50], *further]), None).outcome == "failure"
+    # fingers that stay where they pressed have not lost what they held: a brake holds them
+    braked = outcome(trial(joints=dropped), None)
+    assert braked.outcome == "unknown"
+    assert "fall away while the fingers stay where they are" in braked.evidence
+
+
+def test_equal_efforts_of_all_fingers_are_commanded_ones() -> None:
+    """Fails where the current that a driver was told to give is what fingers press with."""
+    told = [
+        JointSample(s.t_ns, s.positions, dict.fromkeys(s.positions, 0.3)) for s in efforts(0.3, 0.3)
+    ]
+    found = outcome(trial(joints=told), None)
+    assert found.outcome == "unknown"
+    assert "one number to the last digit" in found.evidence
+    measured = [replace(s, efforts={**s.efforts, "index_2": 0.31}) for s in told]
+    assert outcome(trial(joints=measured), None).outcome == "success"
 
 
 @pytest.mark.parametrize(("n", "said"), [(4, False), (5, True)])
@@ -654,7 +672,14 @@ def test_fingers_and_sightings_together(
     ("released_s", "expected"),
     [
         (3.0, ("success", f"{GRIP_SAYS}, before the hand opens again 3.0 s after the close")),
-        (1.9, ("unknown", "the hand opens again 1.9 s after the close")),
+        (
+            1.9,
+            (
+                "unknown",
+                "the hand opens again 1.9 s after the close; an operator's word is: "
+                f"{GIVE_A_LABEL}",
+            ),
+        ),
         (None, ("failure", EMPTY_SAYS)),
     ],
 )
@@ -665,7 +690,8 @@ def test_what_the_hand_put_down_was_held(
     released_ns = None if released_s is None else at(released_s)
     monkeypatch.setattr("dgeval.verdict.log.release_after", lambda *_: released_ns)
     held = efforts(0.30, -0.20, 0.0, 0.0, 0.0, last_s=3.0)
-    ended = outcome(trial(joints=[*held, *EMPTY]), None)
+    opened = [replace(s, positions=dict.fromkeys(s.positions, 0.1)) for s in EMPTY]
+    ended = outcome(trial(joints=[*held, *opened]), None)
     assert (ended.outcome, ended.evidence) == expected
 
 
