@@ -355,10 +355,10 @@ def _falls_away(log: TrialLog, grip: Grip, last_ns: int) -> bool:
     for k in range(0, len(samples) - step, step)[::-1]:
         if grip.holds(np.array(_efforts(grip, samples[k : k + step])))[0]:
             until_ns = samples[k].t_ns + FALLS_NS
-            q = np.array(
-                [[s.positions[n] for n in grip.joints] for s in samples[k:] if s.t_ns <= until_ns]
-            )
-            return bool(np.ptp(q, axis=0).max() < STAYS_RAD)
+            falling = [s for s in samples[k:] if s.t_ns <= until_ns]
+            q = np.array([[s.positions[n] for n in grip.joints] for s in falling])
+            is_seen = falling[-1].t_ns > until_ns - FALLS_NS // 2
+            return is_seen and bool(np.ptp(q, axis=0).max() < STAYS_RAD)
     return False
 
 
