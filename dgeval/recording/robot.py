@@ -552,12 +552,13 @@ def _description_topic(
     head = scan.images.get(roles.colour) if roles.colour else None
     camera = config.frames.camera or (head.frame_id if head is not None else "")
 
-    def rank(topic: str) -> tuple[bool, bool, int, int, str]:
+    def rank(topic: str) -> tuple[bool, bool, bool, int, int, str]:
+        by_name = topic.endswith(ROBOT_DESCRIPTION[1:])
         namespace = namespace_of(topic)
         has_camera = bool(camera) and f'"{camera}"' in scan.descriptions[topic]
         recorded = sum(f'"{name}"' in scan.descriptions[topic] for name in joints.times)
         is_home = bool(namespace) and holds(namespace, home)
-        return not is_home, not has_camera, -recorded, -len(namespace), topic
+        return not by_name, not is_home, not has_camera, -recorded, -len(namespace), topic
 
     best = min(scan.descriptions, key=rank)
     others = ", ".join(sorted(scan.descriptions.keys() - {best}))

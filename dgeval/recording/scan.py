@@ -98,6 +98,7 @@ STAMPED = (
 # bytes of an image's message that may hold its stamp, in any encoding; every so many bytes after
 # them tell one picture from the next
 BEHIND_STAMP, DIGESTED = 64, 31
+URDF_TAGS = ("<robot", "<link", "<joint", "<parent ", "<child ")
 MOST_INTRINSICS = 50  # different ones of a topic, that are kept
 
 
@@ -188,6 +189,14 @@ class Scan:
     words: dict[str, list[int]] = field(default_factory=lambda: defaultdict(lambda: [0, 0]))
     undecodable: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     first_undecodable: dict[str, str] = field(default_factory=dict)
+
+    def describe(self, topic: str, text: Any) -> None:
+        """Keep a robot's description, the last one of its topic."""
+        if not isinstance(text, str):
+            return
+        if self.descriptions.get(topic, text) != text:
+            self.description_changes.add(topic)
+        self.descriptions[topic] = text
 
 
 @dataclass
@@ -284,13 +293,13 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 except ValueError:
                     out.not_events.append(event_text(decoded))  # without a text it is damage
             elif message.topic.endswith(ROBOT_DESCRIPTION[1:]):
-                urdf = getattr(opened.decode(message), "data", None)
-                if isinstance(urdf, str):
-                    if out.descriptions.get(message.topic, urdf) != urdf:
-                        out.description_changes.add(message.topic)
-                    out.descriptions[message.topic] = urdf
+                out.describe(message.topic, getattr(opened.decode(message), "data", None))
             elif topic.type == "std_msgs/msg/String":
-                _count_words(out.words[message.topic], opened.decode(message))
+                said = opened.decode(message)
+                if _is_urdf(said.data):
+                    out.describe(message.topic, said.data)
+                else:
+                    _count_words(out.words[message.topic], said)
             elif is_gripper_topic(message.topic, topic.type):
                 gripper = opened.decode(message)
                 if topic.type == GOALS:
@@ -342,6 +351,13 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
             continue
         opened.damage.append(Damage(what, Place(str(opened.path), name)))
     return out
+
+
+def _is_urdf(text: str) -> bool:
+    """Whether a text, on a topic of any name, describes a robot's links; a semantic description
+    has no parents of joints.
+    """
+    return text.lstrip().startswith("<") and all(tag in text for tag in URDF_TAGS)
 
 
 def _count_words(counted: list[int], message: Any) -> None:

@@ -211,6 +211,12 @@ def _opened(spec: TrialSpec, config: Config, sha256: str | None) -> Trial:
         _given(spec.close_ns, spec.close_after_s, first_ns),
         _given(spec.lift_ns, spec.lift_after_s, first_ns),
     )
+    if None not in given and (given[1] or 0) <= (given[0] or 0):
+        raise UsageError(
+            "the lift that is given is not after the close that is given",
+            place,
+            "--lift is when the palm was told to rise, after --close",
+        )
     grippers = gripper_tracks(scanned, robot)
     close = close_of(marked, robot, first_ns, window.pairs[-1].t_ns, *given, grippers)
     events = close.events

@@ -49,6 +49,8 @@ def open_container(path: Path, parts: tuple[Path, ...] = ()) -> Opened:
     """
     place = Place(str(path))
     try:
+        if lost := [part for part in parts if not part.exists()]:
+            raise UnreadableError("no such file or folder", Place(str(lost[0])))
         if len(parts) > 1:
             return Opened(_joined(path, list(parts)), path)
         if not path.exists():
