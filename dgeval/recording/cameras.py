@@ -20,6 +20,8 @@ from dgeval.recording.images import DEPTH_ENCODINGS
 from dgeval.recording.scan import ImageHead, Scan
 
 DISPARITY = "disparity"  # in the names of topics whose numbers are px, and larger the nearer
+# in the names of topics whose 16-bit numbers say how good depth is, or how bright
+OF_DEPTH = ("confidence", "amplitude", "variance")
 COLOUR_ENCODINGS = frozenset({"rgb8", "bgr8", "rgba8", "bgra8", "8UC3", "8UC4", "mono8", "8UC1"})
 GREY = frozenset({"mono8", "8UC1"})
 STILL = 1e-4  # m and parts of a quaternion, by which a transform that moves changes at least; ours
@@ -61,7 +63,7 @@ def depth_topics(scan: Scan, heads: dict[str, ImageHead]) -> list[str]:
             for n, h in heads.items()
             if h.encoding in DEPTH_ENCODINGS
             and (h.encoding != "mono16" or _has(n, "depth"))
-            and not _has(n, DISPARITY)
+            and not _has(n, DISPARITY, *OF_DEPTH)
         ),
         key=lambda n: (
             not _has(n, *ALIGNED),

@@ -190,7 +190,8 @@ def release_after(
         places = _width(places)[:, None, None]
     held = np.median(places[settled], axis=0)
     closed = held - places[0]
-    if float(np.linalg.norm(closed, axis=1).mean()) < LEAST_M / 2:
+    opens = robot.palm_frame is None and closed.sum() > 0
+    if opens or float(np.linalg.norm(closed, axis=1).mean()) < LEAST_M / 2:
         return None
     # shares of the way that the fingers closed; a hand need not open to the shape it closed from
     back = -np.einsum("nij,ij->n", places - held, closed) / float((closed * closed).sum())

@@ -296,7 +296,7 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
                 out.describe(message.topic, getattr(opened.decode(message), "data", None))
             elif topic.type == "std_msgs/msg/String":
                 said = opened.decode(message)
-                if _is_urdf(said.data):
+                if _is_urdf(getattr(said, "data", "")):
                     out.describe(message.topic, said.data)
                 else:
                     _count_words(out.words[message.topic], said)
@@ -353,11 +353,15 @@ def scan(opened: Opened, events_topic: str | None = None) -> Scan:
     return out
 
 
-def _is_urdf(text: str) -> bool:
+def _is_urdf(text: Any) -> bool:
     """Whether a text, on a topic of any name, describes a robot's links; a semantic description
     has no parents of joints.
     """
-    return text.lstrip().startswith("<") and all(tag in text for tag in URDF_TAGS)
+    return (
+        isinstance(text, str)
+        and text.lstrip().startswith("<")
+        and all(tag in text for tag in URDF_TAGS)
+    )
 
 
 def _count_words(counted: list[int], message: Any) -> None:

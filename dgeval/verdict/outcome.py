@@ -38,6 +38,7 @@ LEAST_ALIKE = 3
 BRAKED_NS, STAYS_RAD = 500_000_000, 0.03
 FALLS_NS = 300_000_000  # ns, after the last time they press, in which fingers close further; ours
 POSE_STEP_NS = 50_000_000  # ns, between the times at which the palm is asked for
+MOST_LOOKS = 400  # times at which the hand's distance to the object is asked for; ours
 MOVED_M = 0.01  # m, by which a hand that stood still seems to move at most; ours
 LAST_S = 0.5  # s of the log, over which efforts are judged; ours
 # m, object's middle to hand: within a large hand's fingers, and out of their reach; ours
@@ -142,7 +143,8 @@ def why_no_close(log: TrialLog, hindsight: Hindsight | None) -> str | None:
     """
     if log.close_missing is None or log.motion_ns is None or hindsight is None:
         return log.close_missing
-    for t_ns in range(log.first_ns, log.motion_ns + 1, POSE_STEP_NS):
+    step = max(POSE_STEP_NS, (log.motion_ns - log.first_ns) // MOST_LOOKS)
+    for t_ns in range(log.first_ns, log.motion_ns + 1, step):
         placed = transform(hindsight.path.at(t_ns), hindsight.points)
         near = hand_distance(log.robot, t_ns, placed)
         if near is None or near[0] < NEAR_M:

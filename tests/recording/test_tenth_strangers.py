@@ -13,7 +13,7 @@ from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import ROBOT_DESCRIPTION
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
-from tests.recording.recorders import TYPES, Message, contents, opened, write
+from tests.recording.recorders import DEPTH, TYPES, Message, contents, opened, write
 
 STRING = "std_msgs/msg/String"
 SEMANTIC = '<robot name="r"><group name="arm"><link name="a"/><joint name="b"/></group></robot>'
@@ -73,3 +73,15 @@ def test_a_lift_before_the_close_is_refused(
         return
     with pytest.raises(UsageError, match="is not after the close"):
         open_trial(spec, Config())
+
+
+@pytest.mark.parametrize("name", ["confidence", "amplitude"])
+def test_how_good_depth_is_is_no_depth(
+    tmp_path: Path, messages: list[Message], original: Any, name: str
+) -> None:
+    """Fails where a depth camera's other 16-bit picture, beside the depth, is taken for it."""
+    other = f"/camera/aligned_depth_to_color/{name}/compressedDepth"
+    more = [(at, other, kind, message) for at, topic, kind, message in messages if topic == DEPTH]
+    trial = opened(write(tmp_path / "a.mcap", [*messages, *more, *more]))
+    assert trial.roles.depth == DEPTH
+    assert contents(trial) == original
