@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from dgeval.recording.robot import RobotStates
@@ -15,6 +17,9 @@ BEYOND_LEAST = {"revolute": 0.2, "prismatic": 0.05}  # rad or m, by which it may
 MOVES_FIXED = 0.02  # rad or m, by which a joint moves that the description says is fixed; ours
 OUTSIDE = 0.5  # share of the samples that are outside; ours
 TWO_VALUES = 1e-3  # rad or m, between two states that are one
+# s, for which a moving arm's states repeat to the last digit; steps before, which the next one is
+# so many times as large as, to make up for them; joints that must agree; ours
+HANGS_S, STEPS, MAKES_UP, LEAST_JOINTS = 0.15, 10, 5.0, 3
 STRAY = 0.01  # share of the stamps that two states may have: one wrong stamp is no second publisher
 
 
@@ -39,6 +44,8 @@ def joint_faults(robot: RobotStates, is_stamped: bool = True) -> list[tuple[str,
         out.append(twice)
     if robot.description is None:
         return out
+    if hangs := _hang(robot):
+        out.append(hangs)
     for joint in sorted(robot.description.joints.values(), key=lambda j: j.name):
         q = np.array(robot.joints.values.get(joint.name, []))
         if joint.kind == "fixed" and len(q) >= LEAST_SAMPLES and np.ptp(q) > MOVES_FIXED:
@@ -60,6 +67,50 @@ def joint_faults(robot: RobotStates, is_stamped: bool = True) -> list[tuple[str,
             out.append((what, mend))
             break
     return out
+
+
+def _hang(robot: RobotStates) -> tuple[str, str] | None:
+    """What is wrong where an arm in motion seems to stand, and jumps then; None where it doesn't.
+
+    An arm that really stops starts again with small steps.
+    """
+    names = [name for name in _arm(robot) if robot.joints.times.get(name)]
+    if len(names) < LEAST_JOINTS:
+        return None
+    times = np.array(robot.joints.times[names[0]], dtype=np.int64)
+    if any(len(robot.joints.times[n]) != len(times) for n in names) or len(times) < LEAST_SAMPLES:
+        return None
+    q = np.array([robot.joints.values[n] for n in names]).T
+    steps = np.abs(np.diff(q, axis=0)).max(axis=1)
+    moves = np.flatnonzero(steps > 0)
+    for before, after in pairwise(moves.tolist()):
+        first, last = before + 1, after  # samples that are one
+        lasts_s = (times[last] - times[first]) * 1e-9
+        if lasts_s < HANGS_S or before + 1 < STEPS:
+            continue
+        usual = float(np.median(steps[before + 1 - STEPS : before + 1]))
+        if usual > 0 and steps[after] > MAKES_UP * usual:
+            a, b = ((times[k] - times[0]) * 1e-9 for k in (first, last))
+            what = (
+                f"the arm's joint states repeat to the last digit for {lasts_s:.2f} s, {a:.2f} to "
+                f"{b:.2f} s after their first, and jump by {steps[after]:.2g} then"
+            )
+            return f"{what}: does their driver hang?", "record again: the hand was elsewhere then"
+    return None
+
+
+def _arm(robot: RobotStates) -> list[str]:
+    """The joints above all links of the hand."""
+    assert robot.description is not None
+    joints = robot.description.joints
+    above: list[set[str]] = []
+    for link in robot.hand_links:
+        names = set()
+        while link in joints:
+            names.add(joints[link].name)
+            link = joints[link].parent
+        above.append(names)
+    return sorted(set.intersection(*above)) if above else []
 
 
 def _two_values(robot: RobotStates) -> tuple[str, str] | None:

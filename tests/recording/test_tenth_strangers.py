@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from dgeval.config import Config
 from dgeval.errors import UnreadableError, UsageError
 from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import ROBOT_DESCRIPTION
+from dgeval.recording.joint_checks import joint_faults
 from dgeval.recording.manifest import find_trials
 from dgeval.recording.trials import open_trial
 from tests.recording.recorders import DEPTH, TYPES, Message, contents, opened, write
@@ -85,3 +89,41 @@ def test_how_good_depth_is_is_no_depth(
     trial = opened(write(tmp_path / "a.mcap", [*messages, *more, *more]))
     assert trial.roles.depth == DEPTH
     assert contents(trial) == original
+
+
+@pytest.mark.parametrize(
+    ("way", "is_told"),
+    [("hangs", True), ("stops", False), ("moves", False), ("hangs for 0.1 s", False)],
+)
+def test_an_arm_whose_driver_hangs_while_it_moves(way: str, is_told: bool) -> None:
+    """Fails where the hand stood elsewhere for 0.3 s and nobody says so; and where an arm that
+    stops, and starts again, "hangs".
+    """
+    t = np.arange(0, 3, 0.01)
+    at = t.copy()
+    if way.startswith("hangs"):
+        at[(t >= 1) & (t < (1.1 if "0.1" in way else 1.3))] = 1.0
+    if way == "stops":
+        at = np.where(t < 1, t, np.where(t < 1.5, 1.0, 1.0 + (t - 1.5)))
+    names = ("a", "b", "c", "finger")
+    ns = (t * 1e9).astype(int).tolist()
+    values = {n: (0.4 * at * k).tolist() for k, n in enumerate(names[:3], 1)}
+    values["finger"] = np.sin(t).tolist()
+    joints = {
+        f"{n}_link": SimpleNamespace(
+            name=n, kind="revolute", parent=f"{above}_link", lower=-9.0, upper=9.0
+        )
+        for above, n in pairwise(("base", *names))
+    }
+    joints["thumb_link"] = SimpleNamespace(
+        name="thumb", kind="revolute", parent="c_link", lower=-9.0, upper=9.0
+    )
+    robot: Any = SimpleNamespace(
+        joints=SimpleNamespace(times=dict.fromkeys(names, ns), values=values),
+        samples=(),
+        hand_links=("finger_link", "thumb_link"),
+        description=SimpleNamespace(joints=joints),
+    )
+    told = joint_faults(robot)
+    assert bool(told) == is_told
+    assert not told or "does their driver hang?" in told[0][0]
