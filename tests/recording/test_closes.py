@@ -391,3 +391,39 @@ def test_the_bars_of_a_linkage_hide_no_close(monkeypatch: pytest.MonkeyPatch) ->
     ends[:, 2:, 1] = [0.05, 0.06, 0.07, 0.08]
     monkeypatch.setattr(closing_motion, "_places", lambda *_: (times, ends))
     assert near(found(made), 2.0, 3.0)
+
+
+@pytest.mark.parametrize(("lift_s", "released_s"), [(2.8, 4.0), (4.6, None), (None, None)])
+def test_a_hand_that_opens_and_closes_again_after_its_lift(
+    monkeypatch: pytest.MonkeyPatch, lift_s: float | None, released_s: float | None
+) -> None:
+    """Fails where a hand that put something down and closed for its way home held nothing; and
+    where one that opened before the lift let go.
+    """
+    way = [(2, OPEN), (2.5, SHUT), (4, SHUT), (4.2, OPEN), (4.5, OPEN), (4.7, SHUT), (5, SHUT)]
+    made = robot(monkeypatch, way, [(0, LOW)] * 2, aside=[(0, 0.0), (5, 0.0)])
+    times, ends = closing_motion._places(made, ("a", "b"), 0, int(LENGTH_S * S))
+    monkeypatch.setattr(closing_motion, "_places", lambda *_: (times[200:], ends[200:]))
+    lift_ns = None if lift_s is None else round(lift_s * S)
+    found_ns = closing_motion.release_after(made, 2 * S, int(LENGTH_S * S), lift_ns)
+    assert (found_ns is None) == (released_s is None)
+    assert found_ns is None or abs(found_ns / S - released_s) < 0.06
+
+
+def test_a_hand_opens_whatever_shape_it_opens_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails where fingers that go to their shape at rest, their tips no farther apart than those of
+    the grip, are closed to the end.
+    """
+    made = robot(monkeypatch, [(0, OPEN)], [(0, LOW)] * 2, aside=[(0, 0.0), (5, 0.0)])
+    times = np.arange(2 * S, 5 * S + 1, closing_motion.STEP_NS)
+    ends = np.zeros((len(times), 2, 3))
+    ends[:, 0, 0] = np.interp(times / S, [2, 2.5, 4, 4.3, 5], [-0.05, -0.02, -0.02, -0.05, -0.05])
+    ends[:, 1, 0] = np.interp(times / S, [2, 2.5, 4, 4.3, 5], [0.05, 0.02, 0.02, 0.03, 0.03])
+    ends[:, 1, 0] -= np.interp(times / S, [4, 4.3], [0.0, 0.02])
+    ends[:, 1, 2] = np.interp(times / S, [2, 2.5, 4, 4.3, 5], [0.04, 0.0, 0.0, 0.04, 0.04])
+    monkeypatch.setattr(closing_motion, "_places", lambda *_: (times, ends))
+    width = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    assert width[-1] - width[150] < 0.6 * (width[0] - width[150])
+    found_ns = closing_motion.release_after(made, 2 * S, 5 * S)
+    assert found_ns is not None
+    assert abs(found_ns / S - 4.0) < 0.06

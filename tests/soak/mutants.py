@@ -2260,7 +2260,7 @@ MUTANTS = [
     ),
     Mutant(
         "dgeval/recording/cameras.py",
-        "            and not _has(n, DISPARITY)\n",
+        "            and not _has(n, DISPARITY, *OF_DEPTH)\n",
         "",
         "tests/recording/test_eighth_strangers.py::test_disparity_is_no_depth",
     ),
@@ -2869,6 +2869,54 @@ MUTANTS = [
         'NOTES_APART = " | "',
         'NOTES_APART = "; "',
         "tests/replay/test_printed.py",
+    ),
+    Mutant(
+        "dgeval/recording/cameras.py",
+        "_has(n, DISPARITY, *OF_DEPTH)",
+        "_has(n, DISPARITY)",
+        "tests/recording/test_tenth_strangers.py::test_how_good_depth_is_is_no_depth",
+    ),
+    Mutant(
+        "dgeval/recording/joint_checks.py",
+        "steps[after] > MAKES_UP * usual",
+        "steps[after] > 0.0",
+        "tests/recording/test_tenth_strangers.py::test_an_arm_whose_driver_hangs_while_it_moves",
+    ),
+    Mutant(
+        "dgeval/recording/joint_checks.py",
+        "if lasts_s < HANGS_S or before + 1 < STEPS:",
+        "if True:",
+        "tests/recording/test_tenth_strangers.py::test_an_arm_whose_driver_hangs_while_it_moves",
+    ),
+    Mutant(
+        "dgeval/recording/scan.py",
+        "and all(tag in text for tag in URDF_TAGS)",
+        "and '<robot' in text",
+        "tests/recording/test_tenth_strangers.py::test_the_description_by_its_name_goes_before_others",
+    ),
+    Mutant(
+        "dgeval/recording/robot.py",
+        "return not by_name, not is_home",
+        "return not is_home",
+        "tests/recording/test_tenth_strangers.py::test_the_description_by_its_name_goes_before_others",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        "_is_commanded(rows) if holds[0] else _falls_away(log, grip, last_ns)",
+        "False",
+        "tests/verdict/test_outcome.py::test_equal_efforts_of_all_fingers_are_commanded_ones",
+    ),
+    Mutant(
+        "dgeval/verdict/outcome.py",
+        "return is_seen and bool",
+        "return False and bool",
+        "tests/verdict/test_outcome.py::test_efforts_are_judged_by_their_mean_over_the_last_half_second",
+    ),
+    Mutant(
+        "dgeval/recording/closing_motion.py",
+        "(back >= REOPENED) & (times > lift_ns)",
+        "(back >= 9.0) & (times > lift_ns)",
+        "tests/recording/test_closes.py::test_a_hand_that_opens_and_closes_again_after_its_lift",
     ),
 ]
 
