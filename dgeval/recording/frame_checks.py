@@ -85,6 +85,13 @@ def frame_checks(
     description = reader.robot.description
     hand = HandSeen(False) if description is None else hand_seen(seen, description.outlines)
     failed = []
+    below = {} if description is None else {n: description.below(n)[1:] for n in hand.hidden}
+    ends = [n for n in hand.hidden if not set(below[n]) & set(reader.robot.hand_links)]
+    if ends:
+        notes.append(
+            f"depth shows the hand, but not {', '.join(ends)}: how these fingers stand is as their "
+            "joint states say, and nothing tests it"
+        )
     if hand.is_off:
         check = _hand_check(hand, reader, seen[0].t_ns)
         if hand.link or np.linalg.norm(hand.shift) >= MUST_TELL_M:

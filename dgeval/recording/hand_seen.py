@@ -56,13 +56,15 @@ class HandSeen:
     is_told: whether enough of it is seen to say so; else the rest is as if it were in its place.
     shift (3,) m: in the camera's frame, by which all of it is seen off; zero where it is seen in
     its place but for a link. link: through which depth shows what lies behind it, "" for none.
-    through: the share of the link, away from its outline, where depth does so.
+    through: the share of the link, away from its outline, where depth does so. hidden: links of
+    which too little is seen to say where they are.
     """
 
     is_told: bool
     shift: Array = field(default_factory=lambda: np.zeros(3))
     link: str = ""
     through: float = 0.0
+    hidden: tuple[str, ...] = ()
 
     @property
     def is_off(self) -> bool:
@@ -104,9 +106,11 @@ def hand_seen(
     if best < TIMES_BETTER * there:
         shift = np.zeros(3)
     link, share = _through(views, links, shift)
+    hidden = _hidden(views, links, shift)
     if share >= MOST_THROUGH:
-        return HandSeen(True, link=link, through=share)
-    return HandSeen(True, shift) if np.linalg.norm(shift) >= NOTED_M else HandSeen(True)
+        return HandSeen(True, link=link, through=share, hidden=hidden)
+    off = shift if np.linalg.norm(shift) >= NOTED_M else np.zeros(3)
+    return HandSeen(True, off, hidden=hidden)
 
 
 def _views(
@@ -136,6 +140,15 @@ def _surface(link: str, frame: Frame, outlines: Mapping[str, list[LinkShape]]) -
     shapes = outlines.get(link) or shapes
     listed = [transform(s.T_link_shape, surface_samples(s)) for s in shapes]
     return np.vstack(listed) if listed else np.zeros((0, 3))
+
+
+def _hidden(views: Sequence[_View], links: NDArray[np.str_], shift: Array) -> tuple[str, ...]:
+    """The links of which depth shows too few points in their place, shifted, over all frames."""
+    seen = np.zeros(len(links))
+    for view in views:
+        farther, same = _farther(view.points + shift, view.frame)
+        seen[view.index] += np.abs(farther) < same
+    return tuple(str(n) for n in np.unique(links) if seen[links == n].sum() < LEAST_POINTS)
 
 
 def _through(views: Sequence[_View], links: NDArray[np.str_], shift: Array) -> tuple[str, float]:

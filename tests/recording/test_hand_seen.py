@@ -221,3 +221,19 @@ def test_capsules_that_stand_in_for_a_mesh_say_nothing() -> None:
         for f in _frames(np.zeros(3), np.array([0.03, 0.0, 0.0]))
     ]
     assert not hand_seen(frames).is_off
+
+
+def test_a_link_that_no_depth_shows_is_named() -> None:
+    """Fails where a finger behind the palm, of which nothing is seen, is said to be tested."""
+    frames = []
+    for f in _frames(np.zeros(3), np.zeros(3)):
+        hand = list(f.hand or ())
+        T = hand[0][1].copy()
+        T[:3, 3] *= 1.3  # along the line of sight, behind it
+        frames.append(
+            replace(f, hand=[*hand, (primitive("behind", "box", np.eye(4), (0.01,) * 3), T)])
+        )
+    found = hand_seen(frames)
+    assert found.is_told
+    assert found.hidden == ("behind",)
+    assert hand_seen(_frames(np.zeros(3), np.zeros(3))).hidden == ()
