@@ -20,6 +20,7 @@ TWO_VALUES = 1e-3  # rad or m, between two states that are one
 # s, for which a moving arm's states repeat to the last digit; steps before, which the next one is
 # so many times as large as, to make up for them; joints that must agree; ours
 HANGS_S, STEPS, MAKES_UP, LEAST_JOINTS = 0.15, 10, 5.0, 3
+LONGEST = 3.0  # times the usual period, between two states of an arm that hangs; ours
 STRAY = 0.01  # share of the stamps that two states may have: one wrong stamp is no second publisher
 
 
@@ -81,13 +82,15 @@ def _hang(robot: RobotStates) -> tuple[str, str] | None:
     if any(len(robot.joints.times[n]) != len(times) for n in names) or len(times) < LEAST_SAMPLES:
         return None
     q = np.array([robot.joints.values[n] for n in names]).T
-    steps = np.abs(np.diff(q, axis=0)).max(axis=1)
+    steps, periods = np.abs(np.diff(q, axis=0)).max(axis=1), np.diff(times)
     moves = np.flatnonzero(steps > 0)
     for before, after in pairwise(moves.tolist()):
         first, last = before + 1, after  # samples that are one
         lasts_s = (times[last] - times[first]) * 1e-9
         if lasts_s < HANGS_S or before + 1 < STEPS:
             continue
+        if (periods[first : after + 1] > LONGEST * np.median(periods)).any():
+            continue  # nothing was recorded for a while, and the arm is elsewhere after it
         usual = float(np.median(steps[before + 1 - STEPS : before + 1]))
         if usual > 0 and steps[after] > MAKES_UP * usual:
             a, b = ((times[k] - times[0]) * 1e-9 for k in (first, last))

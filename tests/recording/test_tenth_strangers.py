@@ -93,7 +93,13 @@ def test_how_good_depth_is_is_no_depth(
 
 @pytest.mark.parametrize(
     ("way", "is_told"),
-    [("hangs", True), ("stops", False), ("moves", False), ("hangs for 0.1 s", False)],
+    [
+        ("hangs", True),
+        ("stops", False),
+        ("moves", False),
+        ("hangs for 0.1 s", False),
+        ("is not recorded for 0.3 s", False),
+    ],
 )
 def test_an_arm_whose_driver_hangs_while_it_moves(way: str, is_told: bool) -> None:
     """Fails where the hand stood elsewhere for 0.3 s and nobody says so; and where an arm that
@@ -105,6 +111,10 @@ def test_an_arm_whose_driver_hangs_while_it_moves(way: str, is_told: bool) -> No
         at[(t >= 1) & (t < (1.1 if "0.1" in way else 1.3))] = 1.0
     if way == "stops":
         at = np.where(t < 1, t, np.where(t < 1.5, 1.0, 1.0 + (t - 1.5)))
+    if way.startswith("is not"):
+        at[t >= 1] += 0.5
+        at[(t >= 1) & (t < 1.03)] = at[99]
+        t = np.where(t >= 1.02, t + 0.3, t)
     names = ("a", "b", "c", "finger")
     ns = (t * 1e9).astype(int).tolist()
     values = {n: (0.4 * at * k).tolist() for k, n in enumerate(names[:3], 1)}
