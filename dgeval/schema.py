@@ -327,9 +327,9 @@ class StageDigests:
         return {stage: digest.hexdigest() for stage, digest in self._stages.items()}
 
 
-def notes_of(row: Mapping[str, Any]) -> list[str]:
-    """The notes of a trial's row, one string each."""
-    return row["notes"].split(NOTES_APART) if row["notes"] else []
+def notes_of(told: str | None) -> list[str]:
+    """The notes of a trial, one string each, from the column `notes`."""
+    return told.split(NOTES_APART) if told else []
 
 
 def arrow_schema(columns: Sequence[Column]) -> Any:

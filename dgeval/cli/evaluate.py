@@ -194,13 +194,14 @@ def _write_verdicts(
     from dgeval.runs.files import write_atomically
 
     groups = groups_of(judged)
-    document = {**given, "groups": {name: document_of(trials) for name, trials in groups}}
-    parts = ["# Verdicts", about, *(markdown_of(name, trials) for name, trials in groups)]
+    figures = {name: document_of(trials) for name, trials in groups}
+    document = {**given, "groups": figures}
+    parts = ["# Verdicts", about, *(markdown_of(n, trials, figures[n]) for n, trials in groups)]
     write_atomically(out / "verdicts.md", "\n\n".join(parts) + "\n")
     write_atomically(out / "verdicts.json", json.dumps(document, indent=1))
     if json_:
         print_json(document)
         return
-    for name, trials in groups:
-        typer.echo(f"{name}: {sentence_of(trials)}")
+    for name, of_group in figures.items():
+        typer.echo(f"{name}: {sentence_of(of_group)}")
     typer.echo(f"tables, and each verdict that is wrong or missing: {out / 'verdicts.md'}")

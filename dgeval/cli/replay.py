@@ -235,7 +235,7 @@ def _print_summary(out: Path, results: Any, review: bool) -> None:
         parts = f"{row['n_frames']} frames, {row['n_lost']} lost, {row['n_predicted']} predicted"
         typer.echo(f"{r.id}: {row['outcome']}, {parts}{kept}")
         typer.echo(f"  {row['evidence']}")
-        for note in notes_of(row) if len(results) <= MOST_WITH_NOTES else ():
+        for note in notes_of(row["notes"]) if len(results) <= MOST_WITH_NOTES else ():
             if note not in r.messages:  # said on standard error
                 typer.echo(f"  note: {note}")
         if r.review:

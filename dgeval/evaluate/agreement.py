@@ -17,19 +17,15 @@ from dgeval.determinism import generator
 from dgeval.errors import EXIT_DATA_LOST
 from dgeval.failure_rule import CLASSES
 from dgeval.geometry import Array
-from dgeval.report.summary import LABELS
+from dgeval.report.summary import LABELLED, LABELS
 from dgeval.statistics import calibration_error, confusion, macro_f1, wilson
 
 ALL = "all"
 NOT_REPLAYED, NO_FAILURE = "not replayed", "no failure"
 SAID = (*CLASSES, "unknown", NO_FAILURE, NOT_REPLAYED)
 ENDS = ("success", "failure", "no_grasp", "incomplete", "unknown", NOT_REPLAYED)
-LABELLED = {
-    "failure_class": "What would have had to be different",
-    "observed_class": "As a person at the video would write",
-}
 PERFECT = 400  # draws of a verdict that is right as often as it says; ours
-CLOSE_S = 0.05  # s; a close found so near to the true one is right, as the issue of closes asks
+CLOSE_S = 0.05  # s; a close found so near to the true one is right; ours
 
 
 @dataclass(frozen=True)
@@ -185,9 +181,10 @@ def _closes(trials: Sequence[Judged]) -> dict[str, Any] | None:
     }
 
 
-def markdown_of(title: str, trials: Sequence[Judged]) -> str:
-    """The figures of `document_of` as tables, and each trial whose verdict is wrong or missing."""
-    figures = document_of(trials)
+def markdown_of(title: str, trials: Sequence[Judged], figures: dict[str, Any]) -> str:
+    """The figures that `document_of` gives of the trials as tables, and each trial whose verdict is
+    wrong or missing.
+    """
     parts = [f"## {title}", f"{figures['trials']} trials, {figures['failures']} failures."]
     if "outcome" in figures:
         parts += [
@@ -213,7 +210,7 @@ def markdown_of(title: str, trials: Sequence[Judged]) -> str:
 def _label_parts(column: str, label: dict[str, Any]) -> list[str]:
     f1 = label["macro_f1"]
     parts = [
-        f"**{LABELLED[column]}** (`{column}`): right {_text(label['right'])}, unknown "
+        f"**{LABELLED[column].capitalize()}** (`{column}`): right {_text(label['right'])}, unknown "
         f"{_text(label['unknown'])}; macro-F1 {f1['value']:.2f} "
         f"[{f1['low']:.2f}, {f1['high']:.2f}]",
         _grid("what is so \\ said", label["said"]),
@@ -246,9 +243,8 @@ def _grid(corner: str, rows: dict[str, dict[str, int]]) -> str:
     return "\n".join(lines)
 
 
-def sentence_of(trials: Sequence[Judged]) -> str:
-    """The figures that count, in one line."""
-    figures = document_of(trials)
+def sentence_of(figures: dict[str, Any]) -> str:
+    """The figures of `document_of` that count, in one line."""
     parts = [f"{figures['failures']} failures of {figures['trials']} trials"]
     if "outcome" in figures:
         right = figures["outcome"]["right"]

@@ -75,7 +75,7 @@ class NoClose:
 
 def closing_motion(robot: RobotStates, first_ns: int, last_ns: int) -> Inferred | NoClose:
     """The last closing motion before the palm rises, or why the fingers show none."""
-    tips = _finger_ends(robot)
+    tips = finger_ends(robot)
     if len(tips) < 2:
         return NoClose(
             ", and no fingers that move are known "
@@ -156,7 +156,7 @@ def _apart(
 
 def opens_after(robot: RobotStates, t_ns: int, last_ns: int) -> bool:
     """Whether the fingers part after a time and do not close first; False where none are seen."""
-    tips = _finger_ends(robot)
+    tips = finger_ends(robot)
     if len(tips) < 2:
         return False
     until = min(t_ns + round(WITHIN_S * 1e9), last_ns)
@@ -168,7 +168,7 @@ def opens_after(robot: RobotStates, t_ns: int, last_ns: int) -> bool:
 
 def fingers_seen(robot: RobotStates, first_ns: int, last_ns: int) -> bool:
     """Whether it is known between two times how far the fingers are apart."""
-    tips = _finger_ends(robot)
+    tips = finger_ends(robot)
     return len(tips) >= 2 and len(_places(robot, tips, first_ns, last_ns)[0]) >= LEAST_SEEN
 
 
@@ -178,7 +178,7 @@ def release_after(
     """When a hand that has closed begins to open again, ns: for good, or at all after its lift;
     None where it does not, or its fingers are not known.
     """
-    tips = _finger_ends(robot)
+    tips = finger_ends(robot)
     if len(tips) < 2:
         return None
     times, places = _places(robot, tips, close_ns, last_ns)
@@ -205,7 +205,7 @@ def release_after(
     return int(times[np.flatnonzero(back[: is_open[0]] <= BEGINS)[-1]])
 
 
-def _finger_ends(robot: RobotStates) -> tuple[str, ...]:
+def finger_ends(robot: RobotStates) -> tuple[str, ...]:
     """The hand's links with a shape, below which there is no other one, and that can move."""
     description = robot.description
     if description is None:

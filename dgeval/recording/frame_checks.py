@@ -16,6 +16,7 @@ from dgeval.geometry import Array, pose_from_matrix
 from dgeval.recording.camera_motion import moved_pairs
 from dgeval.recording.camera_poses import wrong_poses
 from dgeval.recording.check import Check, Findings
+from dgeval.recording.closing_motion import finger_ends
 from dgeval.recording.depth_edges import CUT, DepthOff, depth_off
 from dgeval.recording.depth_unit import bytes_swapped, cut_at, inverse_fits, is_inverse, wrong_unit
 from dgeval.recording.frame import Frame
@@ -85,9 +86,7 @@ def frame_checks(
     description = reader.robot.description
     hand = HandSeen(False) if description is None else hand_seen(seen, description.outlines)
     failed = []
-    below = {} if description is None else {n: description.below(n)[1:] for n in hand.hidden}
-    ends = [n for n in hand.hidden if not set(below[n]) & set(reader.robot.hand_links)]
-    if ends:
+    if hand.hidden and (ends := sorted(set(finger_ends(reader.robot)) & set(hand.hidden))):
         notes.append(
             f"depth shows the hand, but not {', '.join(ends)}: how these fingers stand is as their "
             "joint states say, and nothing tests it"

@@ -75,7 +75,7 @@ def lines_of(run: Run, trial: str) -> list[str]:
         if row[column] is not None:
             at_s = (row[column] - start_ns) * 1e-9
             out.append(f"{name}: {at_s:+.2f} s ({int(row[column]) * 1e-9:.3f})")
-    out += [f"note: {note}" for note in notes_of(row)]
+    out += [f"note: {note}" for note in notes_of(row["notes"])]
     review = Path("review") / f"{file_name(trial)}.rrd"
     if (run.folder / review).is_file():
         out.append(f"see it: dgeval view {run.folder} {trial}")

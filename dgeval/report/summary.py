@@ -19,7 +19,7 @@ from dgeval.recording.containers.opening import open_container
 from dgeval.recording.contract import TRUTH_VERDICT_TOPIC
 from dgeval.recording.copies import COUNTS_TWICE
 from dgeval.recording.manifest import find_trials
-from dgeval.schema import NOTES_APART
+from dgeval.schema import notes_of
 from dgeval.statistics import confusion, macro_f1, wilson
 
 LABELS = {
@@ -141,9 +141,7 @@ def counted_twice(trials: pd.DataFrame) -> list[str]:
     """Sentences on trials whose file holds what another trial's holds, by their notes."""
     out = []
     for trial, notes in zip(trials["trial"], trials["notes"].fillna(""), strict=True):
-        out += [
-            f"{trial}: {note}" for note in notes.split(NOTES_APART) if note.endswith(COUNTS_TWICE)
-        ]
+        out += [f"{trial}: {note}" for note in notes_of(notes) if note.endswith(COUNTS_TWICE)]
     return out
 
 

@@ -6,8 +6,7 @@ Real friction, masses, contacts and links are never those of a model. A scenario
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -47,9 +46,6 @@ class Physics:
     softness: float = 1.0
     radius: float = 0.0
     other_solver: bool = False
-
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
     def put(self, world: HandAndObject) -> None:
         """Change a compiled world."""

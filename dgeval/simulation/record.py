@@ -241,7 +241,7 @@ def verdict_document(
         "t_close_s": None if run.close is None else round(run.close * CONTROL_S, 3),
         "faults": plan.faults.as_dict(),
         "faults_present": plan.faults.present(),
-        **({} if plan.physics == AS_MODELLED else {"physics": plan.physics.as_dict()}),
+        **({} if plan.physics == AS_MODELLED else {"physics": asdict(plan.physics)}),
         "blame": blame,
         "scenario": scenario.plans_of or scenario.name,
         "object": plan.object,

@@ -101,6 +101,8 @@ def judge(
 
     hindsight: None where the object was never tracked. seed: of the draws.
     """
+    if log.motion_ns is not None:
+        log = replace(log, close_missing=why_no_close(log, hindsight), motion_ns=None)
     ended = outcome_of(log, hindsight)
     close_ns = log.close_ns
     row = VerdictRow(ended.outcome, ended.source, ended.evidence)
@@ -162,8 +164,8 @@ def _at_its_word(log: TrialLog, decision: Decision) -> str:
 def _decision(
     log: TrialLog, hindsight: Hindsight | None, config: VerdictConfig, seed: int
 ) -> tuple[Scene, Decision] | Unknown:
-    if log.close_ns is None and (why := why_no_close(log, hindsight)) is not None:
-        return Unknown(why)
+    if log.close_ns is None and log.close_missing is not None:
+        return Unknown(log.close_missing)
     if hindsight is None:
         return Unknown("the object was never tracked")
     scene = scene_of(log, hindsight)

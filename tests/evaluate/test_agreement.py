@@ -29,6 +29,10 @@ from typer.testing import CliRunner
 CLOSE_NS = 3_000_000_000
 
 
+def text_of(trials: list[Judged]) -> str:
+    return markdown_of("belt", trials, document_of(trials))
+
+
 def said(outcome: str, cause: str | None = None, p: float = 0.0, **more: Any) -> dict[str, Any]:
     """A row of the table of trials."""
     rest = (0.5 if cause == "unknown" else 1.0) - p
@@ -117,7 +121,7 @@ def test_closes() -> None:
 
 
 def test_the_surest_mistake_comes_first() -> None:
-    text = markdown_of("belt", TRIALS)
+    text = text_of(TRIALS)
     listed = text[text.index("the surest first") :].splitlines()[4:]
     assert [row.split(" | ")[0].strip("| ") for row in listed] == [
         "wrong", "refused", "unknown", "unseen",
@@ -126,7 +130,7 @@ def test_the_surest_mistake_comes_first() -> None:
     assert "| refused | collision, early | not replayed | no images |" in text
     assert not in_dispute(TRIALS[0])
     assert not in_dispute(TRIALS[5])
-    assert "No verdict is wrong or missing." in markdown_of("belt", TRIALS[:1])
+    assert "No verdict is wrong or missing." in text_of(TRIALS[:1])
 
 
 def test_groups_by_arm_and_condition() -> None:
@@ -145,12 +149,14 @@ def test_groups_by_arm_and_condition() -> None:
         "all, stranger": ["t0", "t2"],
         "all, labelled": ["t1"],
     }
-    assert "hand/t2" not in markdown_of("all", made[:1])
+    assert "hand/t2" not in text_of(made[:1])
 
 
 def test_no_failures_are_no_error() -> None:
-    assert sentence_of([TRIALS[5]]) == "0 failures of 1 trials, outcome right in 1 of 1"
-    assert "0 failures" in markdown_of("belt", [TRIALS[5]])
+    assert (
+        sentence_of(document_of([TRIALS[5]])) == "0 failures of 1 trials, outcome right in 1 of 1"
+    )
+    assert "0 failures" in text_of([TRIALS[5]])
 
 
 def test_a_run_beside_peoples_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

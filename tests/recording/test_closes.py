@@ -43,7 +43,7 @@ def robot(
     """
     times = np.arange(0, int(LENGTH_S * S) + 1, closing_motion.STEP_NS)
     apart = np.interp(times * 1e-9, *zip(*width, strict=True))
-    monkeypatch.setattr(closing_motion, "_finger_ends", lambda _: ("a", "b"))
+    monkeypatch.setattr(closing_motion, "finger_ends", lambda _: ("a", "b"))
     along = 0.0 if aside is None else np.interp(times * 1e-9, *zip(*aside, strict=True))
     monkeypatch.setattr(closing_motion, "_places", lambda *_: (times, places(apart, along)))
 

@@ -46,6 +46,7 @@ def trial(close_ns: int | None = CLOSE, untested: tuple[str, ...] = ()) -> Any:
         last_ns=LAST,
         close_ns=close_ns,
         close_missing=None,
+        motion_ns=None,
         robot=SimpleNamespace(base_frame="base_link", hand_found="none"),
         untested=untested,
     )
